@@ -1,0 +1,36 @@
+"""`jaxscp` and `python -m jaxscp`: list, solve and verify missions."""
+
+import sys
+from collections.abc import Sequence
+
+from ._cli._arguments import parser
+
+BAD_INPUT = 2
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit status.
+
+    0 if it did what was asked (a solve: converged and verified), 1 if a solve or a
+    verification did not succeed, 2 on bad input, with one line on standard error.
+    """
+    try:
+        arguments = parser().parse_args(argv)
+    except SystemExit as stop:
+        return stop.code if isinstance(stop.code, int) else BAD_INPUT
+    # Only after the arguments are known to be right: these imports take seconds.
+    import jax
+
+    from ._cli import _commands
+
+    jax.config.update("jax_enable_x64", True)
+    try:
+        return getattr(_commands, arguments.command)(arguments)
+    except (OSError, ValueError) as error:
+        line = " ".join(str(error).split())
+        print(f"jaxscp {arguments.command}: error: {line}", file=sys.stderr)
+        return BAD_INPUT
+
+
+if __name__ == "__main__":
+    sys.exit(main())

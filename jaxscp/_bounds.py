@@ -1,0 +1,127 @@
+"""`Bounds`: the one boundary object, for states, controls, times and integrals."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from ._types import Array, ArrayLike, Float, is_concrete
+
+
+class Bounds(eqx.Module):
+    """Lower and upper limits, entry by entry.
+
+    Equal ends mean fixed, infinite ends mean free. Which entries are fixed is part of
+    the problem's structure (`fixed` is static: changing it compiles anew); the values
+    are data, differentiable, and may change without compiling anything.
+
+    **Arguments:**
+
+    - `lower`, `upper`: limits in the quantity's own unit, broadcast against each other.
+    - `scale`: typical size of the quantity, same unit, broadcast to the same shape. It
+        steers the automatic scaling of the variable and nothing else. Give it where the
+        limits do not say how large the variable becomes; NaN entries mean "automatic".
+    - `fixed`: which entries are equalities. Found from the values by default; needed
+        only if bounds are made from traced values inside `jax.jit` or `jax.grad`, where
+        [`Bounds.exactly`][] is the simpler way.
+
+    **Raises:** `ValueError` if a limit is NaN or a lower limit exceeds its upper one.
+    """
+
+    lower: Float[Array, "*shape"]
+    upper: Float[Array, "*shape"]
+    scale: Float[Array, "*shape"] | None
+    fixed: tuple[bool, ...] = eqx.field(static=True)
+
+    def __init__(
+        self,
+        lower: ArrayLike,
+        upper: ArrayLike,
+        *,
+        scale: ArrayLike | None = None,
+        fixed: tuple[bool, ...] | None = None,
+    ):
+        same = lower is upper
+        low, high = jnp.broadcast_arrays(_inexact(lower), _inexact(upper))
+        self.lower, self.upper = low, high
+        if scale is None:
+            self.scale = None
+        else:
+            self.scale = jnp.broadcast_to(_inexact(scale), low.shape)
+        if fixed is not None:
+            self.fixed = fixed
+        elif is_concrete(low, high):
+            equal = np.asarray(low) == np.asarray(high)
+            self.fixed = tuple(bool(entry) for entry in equal.ravel())
+        else:
+            self.fixed = (same,) * low.size
+
+    def __check_init__(self):
+        if not is_concrete(self.lower, self.upper):
+            return
+        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        if np.isnan(lower).any() or np.isnan(upper).any():
+            raise ValueError(
+                f"Bounds: lower={lower} and upper={upper} must not hold NaN; "
+                "write an infinite limit where an entry is free."
+            )
+        if (lower > upper).any():
+            worst = np.unravel_index(np.argmax(lower - upper), lower.shape)
+            at = f"[{worst[0]}]" if worst else ""
+            raise ValueError(
+                f"Bounds: lower{at}={lower[worst]:g} exceeds "
+                f"upper{at}={upper[worst]:g}; swap them or widen the range."
+            )
+        if len(self.fixed) != lower.size:
+            raise ValueError(
+                f"Bounds: fixed has {len(self.fixed)} entries for {lower.size} limits; "
+                "give one truth value for each entry."
+            )
+
+    @classmethod
+    def exactly(cls, value: ArrayLike, *, scale: ArrayLike | None = None) -> "Bounds":
+        """Every entry fixed to `value`, which may be traced."""
+        value = _inexact(value)
+        return cls(value, value, scale=scale, fixed=(True,) * value.size)
+
+    @classmethod
+    def free(cls, size: int, *, scale: ArrayLike | None = None) -> "Bounds":
+        """`size` entries without limits."""
+        return cls(jnp.full(size, -jnp.inf), jnp.full(size, jnp.inf), scale=scale)
+
+    @classmethod
+    def at_least(cls, lower: ArrayLike, *, scale: ArrayLike | None = None) -> "Bounds":
+        """Limited from below only."""
+        return cls(lower, jnp.inf, scale=scale)
+
+    @classmethod
+    def at_most(cls, upper: ArrayLike, *, scale: ArrayLike | None = None) -> "Bounds":
+        """Limited from above only."""
+        return cls(-jnp.inf, upper, scale=scale)
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.lower.shape
+
+    @property
+    def is_fixed(self) -> np.ndarray:
+        """Static mask of the entries that are equalities, in the bounds' shape."""
+        return np.array(self.fixed, dtype=bool).reshape(self.shape)
+
+    @property
+    def target(self) -> Float[Array, "*shape"]:
+        """The value of a fixed entry.
+
+        The mean of both ends, so that a derivative splits evenly between them and a
+        change of both together moves the target by exactly that change.
+        """
+        return 0.5 * (self.lower + self.upper)
+
+    def clip(self, value: Float[Array, "*#shape"]) -> Float[Array, "*shape"]:
+        """The nearest value within the limits; fixed entries take their target."""
+        inside = jnp.clip(value, self.lower, self.upper)
+        return jnp.where(self.is_fixed, self.target, inside)
+
+
+def _inexact(value: ArrayLike) -> Array:
+    array = jnp.asarray(value)
+    return array if jnp.issubdtype(array.dtype, jnp.inexact) else array.astype(float)

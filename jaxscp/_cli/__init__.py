@@ -1,0 +1,1 @@
+"""The commands behind `jaxscp.__main__`."""

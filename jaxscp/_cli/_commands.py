@@ -1,0 +1,130 @@
+"""What each command does; each returns the exit status."""
+
+import argparse
+import io
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+
+from .. import _files, missions as catalogue
+from .._hold import ZeroOrderHold
+from .._paper import PaperSCP
+from .._proximal import ProximalSCP
+from .._solution import Solution
+from .._solve import solve as solve_problem
+from .._trajectory import Trajectory
+from .._verification import Verification
+from ..missions import Mission
+from ..verify import verify as verify_solution
+from ._report import as_json, progress_line, table
+from ._timing import CompileClock, process_age
+
+SUCCESS, FAILURE = 0, 1
+
+
+def missions(arguments: argparse.Namespace) -> int:
+    """List the missions, a line each."""
+    del arguments
+    names = catalogue.names()
+    width = max(len(name) for name in names)
+    for name in names:
+        print(f"{name:{width}}  {catalogue.get(name).summary}")
+    return SUCCESS
+
+
+def verify(arguments: argparse.Namespace) -> int:
+    """Check a saved solution independently."""
+    mission, trajectory = _files.load(arguments.file)
+    result = verify_solution(mission.problem(), trajectory, hold=ZeroOrderHold())
+    print(f"{arguments.file}: {mission.name}")
+    print(result)
+    return SUCCESS if result.verified else FAILURE
+
+
+def solve(arguments: argparse.Namespace) -> int:
+    """Solve a mission, verify the solution and write what was asked for."""
+    imported = process_age()
+    for option in ("json", "save", "plot"):
+        if (path := getattr(arguments, option)) is not None:
+            _files.check_writable(f"--{option}", path)
+    if arguments.plot is not None:
+        _check_format(arguments.plot)
+    mission = catalogue.replace_many(
+        catalogue.get(arguments.mission), dict(arguments.changes)
+    )
+    solution, guess, seconds = _timed_solve(mission, arguments)
+    seconds = {"import": imported, **seconds}
+    verification = verify_solution(solution.problem, solution)
+    _write(arguments, mission, solution, guess, verification, seconds)
+    good = bool(solution.converged) and verification.verified
+    if not arguments.quiet:
+        print(table(mission, solution, verification, seconds))
+    elif not good:
+        print(f"{mission.name}: {solution.message}", file=sys.stderr)
+    return SUCCESS if good else FAILURE
+
+
+def _timed_solve(
+    mission: Mission, arguments: argparse.Namespace
+) -> tuple[Solution, Trajectory, dict[str, float]]:
+    """The solution, the guess it started from, and seconds to compile and to solve."""
+    method = {"proximal": ProximalSCP, "paper": PaperSCP}[arguments.method]()
+    terminal = sys.stdout.isatty() and sys.stderr.isatty()
+    progress = _show_progress if terminal and not arguments.quiet else None
+    problem = mission.problem()
+    guess = mission.guess(nodes=arguments.nodes)
+    began = time.perf_counter()
+    with CompileClock() as compiling:
+        solution = solve_problem(problem, guess, method, progress=progress, throw=False)
+        jax.block_until_ready(eqx.filter(solution, eqx.is_array))
+    total = time.perf_counter() - began
+    seconds = {"compile": compiling.seconds, "solve": total - compiling.seconds}
+    return solution, guess, seconds
+
+
+def _show_progress(row: dict[str, Any]) -> None:
+    print(progress_line(row), file=sys.stderr, flush=True)
+
+
+def _write(
+    arguments: argparse.Namespace,
+    mission: Mission,
+    solution: Solution,
+    guess: Trajectory,
+    verification: Verification,
+    seconds: dict[str, float],
+) -> None:
+    if arguments.save is not None:
+        _files.save(arguments.save, mission, solution.trajectory)
+    if arguments.plot is not None:
+        # Imported where needed: Matplotlib takes a second.
+        from .. import plot
+
+        picture = io.BytesIO()
+        figure = plot.mission(mission, solution, guess)
+        figure.savefig(picture, format=_format(arguments.plot), dpi=150)
+        _files.write_bytes(arguments.plot, picture.getvalue())
+    if arguments.json is not None:
+        report = as_json(mission, solution, verification, seconds)
+        text = json.dumps(report, indent=2, allow_nan=False) + "\n"
+        _files.write_bytes(arguments.json, text.encode())
+
+
+def _format(path: str) -> str:
+    return Path(path).suffix.removeprefix(".").lower()
+
+
+def _check_format(path: str) -> None:
+    from matplotlib.backend_bases import FigureCanvasBase
+
+    known = FigureCanvasBase.get_supported_filetypes()
+    if _format(path) not in known:
+        raise ValueError(
+            f"--plot {path}: the ending {Path(path).suffix!r} names no picture format; "
+            f"use one of {', '.join('.' + name for name in sorted(known))}."
+        )

@@ -1,0 +1,156 @@
+"""A solved mission as JSON and as a short table."""
+
+import math
+import platform
+from importlib.metadata import version
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from .._solution import Solution
+from .._status import Status
+from .._verification import Verification
+from ..missions import Mission
+
+PACKAGES = ("jaxscp", "equinox", "jax", "jaxlib", "numpy", "piqp", "scipy")
+
+
+def as_json(
+    mission: Mission,
+    solution: Solution,
+    verification: Verification,
+    seconds: dict[str, float],
+) -> dict[str, Any]:
+    """What `--json` writes; numbers that are not finite become null.
+
+    `defect_max` is the largest scaled defect of the last iterate. `position_error` [m]
+    and `violations` are the verification's: intervals flown again from their nodes, and
+    limits checked between the nodes too.
+    """
+    required = mission.data_required
+    report = {
+        "mission": mission.name,
+        "status": status_name(solution.status),
+        "converged": bool(solution.converged),
+        "verified": bool(verification.verified),
+        "objective": float(solution.objective),
+        "final_time": float(solution.trajectory.final_time),
+        "data_bits": data_bits(mission, verification),
+        "data_required_bits": None if required is None else float(required),
+        "defect_max": _last(solution.history.defect),
+        "position_error": position_error(verification),
+        "violations": {
+            name: {"value": worst.value, "unit": worst.unit, "time": worst.time}
+            for name, worst in verification.violations.items()
+        },
+        "iterations": int(solution.statistics.iterations),
+        "subproblems": int(solution.statistics.subproblems),
+        "seconds": seconds,
+        "versions": {
+            "python": platform.python_version(),
+            **{package: version(package) for package in PACKAGES},
+        },
+    }
+    return _finite(report)
+
+
+def table(
+    mission: Mission,
+    solution: Solution,
+    verification: Verification,
+    seconds: dict[str, float],
+) -> str:
+    """The result for a person to read, about ten lines."""
+    statistics = solution.statistics
+    rows = {
+        "mission": mission.name,
+        "status": solution.message,
+        "objective": f"{float(solution.objective):,.2f} N^2 s",
+        "final time": f"{float(solution.trajectory.final_time):.3f} s",
+        "data": _data(mission, verification),
+        "position error": f"{position_error(verification):.2e} m in the worst interval",
+        "verified": "yes" if verification.verified else "no",
+        "effort": f"{int(statistics.iterations)} iterations, "
+        f"{int(statistics.subproblems)} subproblems",
+        "seconds": ", ".join(f"{name} {spent:.2f}" for name, spent in seconds.items()),
+    }
+    lines = [f"{name:15} {text}" for name, text in rows.items()]
+    for name, worst in verification.violations.items():
+        lines.append(
+            f"{'exceeded':15} {name} by {worst.value:.2e} {worst.unit} "
+            f"at {worst.time:.2f} s"
+        )
+    return "\n".join(lines)
+
+
+def progress_line(row: dict[str, Any]) -> str:
+    """One iteration of a solve in progress; its first line carries the headings."""
+    columns = {
+        "iteration": "d",
+        "objective": ".6g",
+        "penalized_cost": ".6g",
+        "predicted_reduction": ".2e",
+        "actual_reduction": ".2e",
+        "ratio": ".3f",
+        "radius": ".2e",
+        "defect": ".2e",
+        "buffer": ".2e",
+    }
+    width = 11
+    values = {
+        name: int(row[name]) if form == "d" else float(row[name])
+        for name, form in columns.items()
+    }
+    line = " ".join(f"{values[name]:>{width}{form}}" for name, form in columns.items())
+    if values["iteration"] > 1:
+        return line
+    headings = ("iteration", "objective", "penalized", "predicted", "actual")
+    headings += ("ratio", "radius", "defect", "buffer")
+    return " ".join(f"{heading:>{width}}" for heading in headings) + "\n" + line
+
+
+def status_name(status: Status) -> str:
+    """The member's name, such as "converged"."""
+    for name in vars(Status)["_name_to_item"]:
+        if bool(status == getattr(Status, name)):
+            return name
+    raise AssertionError(f"{status} is no member of Status")
+
+
+def position_error(verification: Verification) -> float:
+    """Largest distance [m] of a re-flown interval's end from the node there."""
+    errors = np.asarray(verification.interval_errors)[:, :3]
+    return float(np.max(np.linalg.norm(errors, axis=1)))
+
+
+def data_bits(mission: Mission, verification: Verification) -> float:
+    """Data transferred on the way [bit], also where the mission requires none."""
+    if "data" in verification.integrals:
+        return verification.integrals["data"]
+    dense = verification.dense
+    positions = jnp.asarray(dense.states[:, :3])
+    return float(mission.channel.throughput(jnp.asarray(dense.times), positions))
+
+
+def _data(mission: Mission, verification: Verification) -> str:
+    text = f"{data_bits(mission, verification) / 1e6:.3f} Mbit"
+    if mission.data_required is None:
+        return f"{text}, none required"
+    return f"{text} of {float(mission.data_required) / 1e6:.3f} Mbit required"
+
+
+def _last(values: Any) -> float:
+    """The last entry of a history that is not NaN."""
+    array = np.asarray(values, float)
+    array = array[~np.isnan(array)]
+    return float(array[-1]) if array.size else math.nan
+
+
+def _finite(value: Any) -> Any:
+    """The same tree with null where JSON has no number."""
+    if isinstance(value, dict):
+        return {name: _finite(entry) for name, entry in value.items()}
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,143 @@
+"""Files: written whole or not at all, and checked when read back."""
+
+import io
+import os
+import tempfile
+import zipfile
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from ._trajectory import Trajectory
+from .missions import Mission
+
+KEYS = ("time", "state", "control", "final_time", "mission")
+
+
+def write_bytes(path: str | Path, content: bytes) -> None:
+    """Write a file whole: under another name first, renamed when complete.
+
+    What is not a regular file, such as a pipe or /dev/stdout, is written to directly.
+    """
+    target = Path(os.path.realpath(path))
+    if target.exists() and not target.is_file():
+        target.write_bytes(content)
+        return
+    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    try:
+        partial.write_bytes(content)
+        os.replace(partial, target)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def check_writable(option: str, path: str | Path) -> None:
+    """Refuse a path that could not be written, before any work is done for it.
+
+    **Raises:** `ValueError` naming the option, the path and what is wrong.
+    """
+    target = Path(os.path.realpath(path))
+    if target.is_dir():
+        raise ValueError(f"{option} {path}: is a directory; add a file name.")
+    if target.exists():
+        if not os.access(target, os.W_OK):
+            raise ValueError(f"{option} {path}: is not writable; choose another file.")
+        if not target.is_file():
+            return
+    if not target.parent.is_dir():
+        raise ValueError(
+            f"{option} {path}: the directory {target.parent} does not exist; create it "
+            "or choose another."
+        )
+    try:
+        with tempfile.TemporaryFile(dir=target.parent):
+            pass
+    except OSError as error:
+        raise ValueError(
+            f"{option} {path}: cannot write in {target.parent} ({error.strerror}); "
+            "choose another directory."
+        ) from error
+
+
+def save(path: str | Path, mission: Mission, trajectory: Trajectory) -> None:
+    """Write a mission and its trajectory as an npz file.
+
+    Entries: `time` (N,) [s], `state` (N, n) and `control` (N, m) in SI units and the
+    problem's order, `final_time` [s], `mission` (JSON text).
+    """
+    content = io.BytesIO()
+    np.savez(
+        content,
+        time=np.asarray(trajectory.times),
+        state=np.asarray(trajectory.states),
+        control=np.asarray(trajectory.controls),
+        final_time=np.asarray(trajectory.final_time),
+        mission=np.asarray(mission.to_json()),
+    )
+    write_bytes(path, content.getvalue())
+
+
+def load(path: str | Path) -> tuple[Mission, Trajectory]:
+    """Read back what [`save`][] wrote.
+
+    **Raises:** `ValueError` if the file is missing, truncated or not of this kind.
+    """
+    entries = _read(path)
+    try:
+        mission = Mission.from_json(str(entries["mission"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path}: its mission cannot be read: {error}") from error
+    time, final_time = entries["time"], entries["final_time"]
+    state, control = entries["state"], entries["control"]
+    problem = mission.problem()
+    nodes = time.size
+    expected = {
+        "time": (nodes,),
+        "final_time": (),
+        "state": (nodes, problem.state_size),
+        "control": (nodes, problem.control_size),
+    }
+    for name, shape in expected.items():
+        entry = entries[name]
+        if entry.shape != shape or not np.issubdtype(entry.dtype, np.floating):
+            raise ValueError(
+                f"{path}: {name} has shape {entry.shape} and type {entry.dtype}; this "
+                f"mission needs floats of shape {shape}."
+            )
+        if not np.isfinite(entry).all():
+            raise ValueError(f"{path}: {name} is not finite; there is no flight in it.")
+    rises = nodes >= 2 and time[0] == 0.0 and bool(np.all(np.diff(time) > 0))
+    if not rises or not np.isclose(time[-1], final_time, rtol=1e-9, atol=0.0):
+        raise ValueError(
+            f"{path}: time must rise strictly from 0 to final_time="
+            f"{float(final_time):g}."
+        )
+    return mission, Trajectory(
+        fractions=jnp.asarray(time / time[-1]),
+        states=jnp.asarray(state),
+        controls=jnp.asarray(control),
+        final_time=jnp.asarray(final_time),
+    )
+
+
+def _read(path: str | Path) -> dict[str, np.ndarray]:
+    """The entries of an npz file, complete and without running anything in it."""
+    if not Path(path).is_file():
+        raise ValueError(f"{path}: no such file.")
+    # NumPy would take anything else for a pickle.
+    if not zipfile.is_zipfile(path):
+        raise ValueError(
+            f"{path}: not a complete npz file; write one with `jaxscp solve --save`."
+        )
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            missing = [key for key in KEYS if key not in archive]
+            if missing:
+                raise ValueError(f"it lacks {', '.join(missing)}")
+            return {key: archive[key] for key in KEYS}
+    # A damaged archive makes zipfile and NumPy raise nearly every kind of exception.
+    except Exception as error:
+        raise ValueError(
+            f"{path}: not a file of `jaxscp solve --save` ({error})."
+        ) from error

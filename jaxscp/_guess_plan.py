@@ -1,0 +1,147 @@
+"""`GuessPlan`: how a mission's guess is flown."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ._trajectory import Trajectory
+from ._types import Array, Float, Scalar
+from .models._parameters import Numbers, optional_parameter, parameter
+from .models.channel import Channel
+
+
+class GuessPlan(eqx.Module):
+    """How a mission's guess is flown. It changes where a solve starts, nothing else.
+
+    A flight with data visits the ground station and waits there: far from it the rate
+    and its slope vanish, so a straight line gives a solver no hint of where to go.
+
+    **Arguments:**
+
+    - `cruise_speed`: mean speed between the places it visits [m/s].
+    - `loiter_height`: height above the ground station at which it waits [m], unless
+        the mission's altitude floor is higher.
+    - `transit_share`: share of the nodes outside the wait, above 0 and at most 0.99.
+        A long wait leaves few of evenly spaced nodes to the transits, where all the
+        motion is. None spaces them evenly, as the paper does.
+    """
+
+    cruise_speed: Scalar
+    loiter_height: Scalar
+    transit_share: Scalar | None
+
+    def __init__(
+        self,
+        cruise_speed: Numbers = 28.5,
+        loiter_height: Numbers = 30.0,
+        transit_share: Numbers | None = None,
+    ):
+        self.cruise_speed = parameter(
+            "GuessPlan.cruise_speed", cruise_speed, above=0.0, unit="m/s"
+        )
+        self.loiter_height = parameter(
+            "GuessPlan.loiter_height", loiter_height, above=0.0, unit="m"
+        )
+        self.transit_share = optional_parameter(
+            "GuessPlan.transit_share", transit_share, above=0.0, at_most=0.99
+        )
+
+    def loiter_place(
+        self, channel: Channel, altitude_floor: Scalar | None
+    ) -> Float[Array, "3"]:
+        """Where to wait while data are transferred [m]."""
+        place = channel.ground_station.at[2].add(self.loiter_height)
+        return place if altitude_floor is None else place.at[2].max(altitude_floor)
+
+    def schedule(
+        self,
+        route: Float[Array, "k n"],
+        channel: Channel,
+        data_required: Scalar | None,
+        final_time_range: Float[Array, "2"],
+    ) -> tuple[Float[Array, " k"], Float[Array, " k"]]:
+        """Seconds on the way to each place of a route, and seconds there.
+
+        **Arguments:**
+
+        - `route`: states to visit, start and goal, and the place to wait between them
+            if data are required.
+        """
+        places = route[:, :3]
+        lengths = jnp.linalg.norm(jnp.diff(places, axis=0), axis=1)
+        legs = jnp.concatenate([jnp.zeros(1), lengths / self.cruise_speed])
+        moving = jnp.sum(legs)
+        shortest, longest = final_time_range
+        if data_required is None:
+            wait = jnp.zeros(())
+            total = jnp.clip(moving, shortest, longest)
+        else:
+            sent = sum(
+                _sent(channel, here, there, leg)
+                for here, there, leg in zip(
+                    places[:-1], places[1:], legs[1:], strict=True
+                )
+            )
+            missing = jnp.maximum(data_required - sent, 0.0)
+            total = jnp.clip(
+                moving + missing / channel.rate(places[1]), shortest, longest
+            )
+            wait = jnp.maximum(total - moving, 0.0)
+        stays = jnp.zeros_like(legs).at[1:-1].set(wait)
+        return legs * (total - wait) / jnp.where(moving > 0, moving, 1.0), stays
+
+    @eqx.filter_jit
+    def fly(
+        self,
+        route: Float[Array, "k n"],
+        legs: Float[Array, " k"],
+        stays: Float[Array, " k"],
+        fractions: Float[Array, " N"],
+        control: Float[Array, " m"],
+    ) -> Trajectory:
+        """The flight along a route as scheduled, under a constant control."""
+        arrivals = jnp.cumsum(legs + stays) - stays
+        knots = jnp.stack([arrivals, arrivals + stays], axis=1).ravel()
+        total = jnp.sum(legs) + jnp.sum(stays)
+        held = jnp.repeat(route, 2, axis=0)
+        follow = jax.vmap(jnp.interp, in_axes=(None, None, 1), out_axes=1)
+        return Trajectory(
+            fractions=fractions,
+            states=follow(total * fractions, knots, held),
+            controls=jnp.broadcast_to(control, (fractions.size, control.size)),
+            final_time=total,
+        )
+
+    @eqx.filter_jit
+    def grid(
+        self,
+        legs: Float[Array, " k"],
+        stays: Float[Array, " k"],
+        even: Float[Array, " N"],
+    ) -> Float[Array, " N"]:
+        """Evenly spaced node fractions, redistributed as `transit_share` says."""
+        if self.transit_share is None:
+            return even
+        moving, waiting = jnp.sum(legs), jnp.sum(stays)
+        # A short wait gets no more nodes than its time asks for.
+        share = jnp.maximum(self.transit_share, moving / (moving + waiting))
+        # Each part of the flight in seconds, and in its share of the nodes.
+        parts = jnp.stack([legs, stays], axis=1).ravel()
+        shares = jnp.stack(
+            [
+                share * legs / jnp.where(moving > 0, moving, 1.0),
+                (1 - share) * stays / jnp.where(waiting > 0, waiting, 1.0),
+            ],
+            axis=1,
+        ).ravel()
+        seconds = jnp.cumsum(parts)
+        nodes = jnp.cumsum(shares)
+        return jnp.interp(even, nodes / nodes[-1], seconds / seconds[-1])
+
+
+def _sent(
+    channel: Channel, here: Float[Array, "3"], there: Float[Array, "3"], time: Scalar
+) -> Scalar:
+    """Data transferred on a straight leg [bit]."""
+    way = jnp.linspace(0.0, 1.0, 101)
+    return channel.throughput(way * time, here[None] + jnp.outer(way, there - here))

@@ -1,0 +1,299 @@
+"""The state of an SCP method, and the moves every method makes."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ._discretization import Discretization
+from ._model import PerConstraint, integral_limits, penalized_cost, violations
+from ._scaling import Scaling, automatic_scaling
+from ._subproblem import SubproblemSolution
+from ._transcription import Derivatives, Residuals, Transcription, Variables
+from ._types import Array, Float, Scalar
+
+# Between one linearization and the next the substeps change at most so much: a wild
+# first step would otherwise ask for hundreds.
+_MOST_GROWTH = 4.0
+
+
+class Iterate(eqx.Module):
+    """A point, with the scaled values and derivatives of all functions there.
+
+    - `fresh`: whether the derivatives belong to the point, not to the one before.
+    - `substeps`: Runge-Kutta steps an interval, as many as the tolerance asked for.
+    - `integration_error`: estimated local error with that many, relative to the scales.
+    """
+
+    variables: Variables
+    residuals: Residuals
+    derivatives: Derivatives
+    fresh: Array
+    substeps: Array
+    integration_error: Scalar
+
+
+class History(eqx.Module):
+    """One number for each subproblem solved, in order; NaN beyond the last.
+
+    - `objective`: of the step tried, in its own unit.
+    - `penalized_cost`: of the reference, scaled, with the weights then in force.
+    - `predicted_reduction`, `actual_reduction`, `ratio`: of the penalized cost.
+    - `radius`: of the trust region; the inverse weight where it is a proximal term.
+    - `defect`: largest dynamics defect of the step tried, relative to the state scales.
+    - `buffer`: largest violation of a path or integral constraint, relative likewise.
+    - `accepted`: 1 if the step was taken.
+    """
+
+    objective: Float[Array, " records"]
+    penalized_cost: Float[Array, " records"]
+    predicted_reduction: Float[Array, " records"]
+    actual_reduction: Float[Array, " records"]
+    ratio: Float[Array, " records"]
+    radius: Float[Array, " records"]
+    defect: Float[Array, " records"]
+    buffer: Float[Array, " records"]
+    accepted: Float[Array, " records"]
+
+    @classmethod
+    def empty(cls, records: int) -> "History":
+        return cls(*(jnp.full(records, jnp.nan) for _ in range(9)))
+
+    def write(self, index: Array, **values: Array) -> "History":
+        """The history with one more record."""
+        return History(
+            **{
+                name: getattr(self, name).at[index].set(value)
+                for name, value in values.items()
+            }
+        )
+
+
+class SCPState(eqx.Module):
+    """Everything an SCP method carries from one iteration to the next.
+
+    - `weights`: of the exact penalty. `ceiling`: price of virtual variables.
+    - `radius`: as in [`History`][].
+    - `records`: entries in the history. `iterations`: those the method's limit counts.
+    - `subproblems`, `qp_iterations`, `qp_seconds`: QPs solved, and what they took.
+    - `stationary`: no step within the model improves the penalized cost.
+    - `finite`: whether the reference has finite values and derivatives.
+    """
+
+    iterate: Iterate
+    scaling: Scaling
+    solution: SubproblemSolution
+    weights: PerConstraint
+    ceiling: Scalar
+    radius: Scalar
+    history: History
+    records: Array
+    iterations: Array
+    subproblems: Array
+    qp_iterations: Array
+    qp_seconds: Scalar
+    stationary: Array
+    finite: Array
+
+
+def linearized(
+    transcription: Transcription, scaling: Scaling, iterate: Iterate
+) -> Iterate:
+    """The same point with fresh derivatives."""
+
+    def renew() -> Iterate:
+        residuals, derivatives = transcription.linearize(
+            iterate.variables, iterate.substeps
+        )
+        return dataclasses.replace(
+            iterate,
+            residuals=scaling.residuals(residuals),
+            derivatives=scaling.derivatives(derivatives),
+            fresh=jnp.array(True),
+        )
+
+    return jax.lax.cond(iterate.fresh, lambda: iterate, renew)
+
+
+def is_finite(tree) -> Array:
+    """Whether every number of a tree is finite."""
+    leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_inexact_array))
+    return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
+
+
+def largest_buffer(broken: PerConstraint) -> Scalar:
+    """Largest violation of a path or integral constraint."""
+    path = jnp.max(broken.path, initial=0.0)
+    return jnp.maximum(path, jnp.max(broken.integral, initial=0.0))
+
+
+class Trial(eqx.Module):
+    """A step tried: where it leads, the scaled residuals and the penalized cost there.
+
+    `integration_error` is that of the flow there, as in [`Iterate`][].
+    """
+
+    solution: SubproblemSolution
+    variables: Variables
+    residuals: Residuals
+    cost: Scalar
+    integration_error: Scalar
+
+
+class Judgement(eqx.Module):
+    """The ratio test of a step (paper, eq. 21): all of the penalized cost."""
+
+    reference: Scalar
+    predicted: Scalar
+    actual: Scalar
+    ratio: Scalar
+    accepted: Array
+
+
+def start(
+    transcription: Transcription,
+    guess: Variables,
+    nothing: SubproblemSolution,
+    *,
+    radius: float,
+    ceiling: float,
+    records: int,
+) -> SCPState:
+    """The state before the first subproblem."""
+    substeps = jnp.asarray(transcription.discretization.min_substeps)
+    residuals = transcription.evaluate(guess, substeps)
+    scaling = automatic_scaling(transcription, guess, residuals)
+    _, derivatives = jax.eval_shape(transcription.linearize, guess, substeps)
+    iterate = Iterate(
+        variables=guess,
+        residuals=scaling.residuals(residuals),
+        derivatives=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), derivatives),
+        fresh=jnp.array(False),
+        substeps=substeps,
+        integration_error=jnp.zeros(()),
+    )
+    zero = jnp.zeros((), int)
+    return SCPState(
+        iterate=iterate,
+        scaling=scaling,
+        solution=nothing,
+        weights=nothing.multipliers,
+        ceiling=jnp.asarray(ceiling),
+        radius=jnp.asarray(radius),
+        history=History.empty(records),
+        records=zero,
+        iterations=zero,
+        subproblems=zero,
+        qp_iterations=zero,
+        qp_seconds=jnp.zeros(()),
+        stationary=jnp.array(False),
+        finite=is_finite((residuals, scaling)),
+    )
+
+
+def try_step(
+    transcription: Transcription,
+    scaling: Scaling,
+    iterate: Iterate,
+    solution: SubproblemSolution,
+    weights: PerConstraint,
+) -> Trial:
+    """Evaluate the discrete problem where a subproblem's step leads."""
+    variables = scaling.move(iterate.variables, solution.step)
+    # Once as the method counts, once with the steps halved: their difference is the
+    # error.
+    substeps = iterate.substeps * jnp.array([1, 2])
+    both = jax.vmap(transcription.evaluate, in_axes=(None, 0))(variables, substeps)
+    residuals, finer = (
+        scaling.residuals(jax.tree.map(lambda leaf: leaf[row], both)) for row in (0, 1)
+    )
+    error = jnp.maximum(
+        jnp.max(jnp.abs(residuals.defects - finer.defects)),
+        jnp.max(jnp.abs(residuals.increments - finer.increments)),
+    )
+    limits = integral_limits(transcription, scaling)
+    cost = penalized_cost(residuals, limits, weights)
+    # A step into a singularity is a bad step, not a broken solve.
+    cost = jnp.where(jnp.isnan(cost), jnp.inf, cost)
+    return Trial(solution, variables, residuals, cost, error)
+
+
+def _needed_substeps(
+    settings: Discretization, substeps: Array, error: Scalar
+) -> Array:
+    """As many as keep the local error within its tolerance, for a method of order 4."""
+    factor = 1.1 * (error / settings.tolerance) ** 0.25
+    # Fewer only if it is far fewer: with the substeps the penalized cost changes, a little.
+    factor = jnp.where((factor < 1.0) & (factor > 0.5), 1.0, factor)
+    factor = jnp.where(error > settings.tolerance, jnp.maximum(factor, 1.0), factor)
+    factor = jnp.clip(factor, 1.0 / _MOST_GROWTH, _MOST_GROWTH)
+    wanted = jnp.ceil(substeps * factor).astype(substeps.dtype)
+    return jnp.clip(wanted, settings.min_substeps, settings.max_substeps)
+
+
+def judge(
+    reference: Scalar, predicted: Scalar, trial: Trial, accept_ratio: float
+) -> Judgement:
+    """Compare the reduction of the penalized cost with the predicted one."""
+    actual = reference - trial.cost
+    # At a stationary point both are rounding errors, and their quotient means nothing.
+    noise = 1e-13 * jnp.abs(reference)
+    meaningful = predicted > noise
+    ratio = jnp.where(meaningful, actual / jnp.where(meaningful, predicted, 1.0), 1.0)
+    accepted = (ratio >= accept_ratio) & trial.solution.report.solved
+    return Judgement(reference, predicted, actual, ratio, accepted)
+
+
+def advance(
+    transcription: Transcription,
+    state: SCPState,
+    trial: Trial,
+    judgement: Judgement,
+    **changed: Array,
+) -> SCPState:
+    """Take the step if it was accepted, and write it down either way.
+
+    `changed` are the fields of the state the method decides itself.
+    """
+    accepted, old = judgement.accepted, state.iterate
+    error = trial.integration_error
+    moved = Iterate(
+        variables=trial.variables,
+        residuals=trial.residuals,
+        derivatives=old.derivatives,
+        fresh=jnp.array(False),
+        substeps=_needed_substeps(transcription.discretization, old.substeps, error),
+        integration_error=error,
+    )
+    iterate = tree_where(accepted, moved, old)
+    limits = integral_limits(transcription, state.scaling)
+    broken = violations(trial.residuals, limits)
+    report = trial.solution.report
+    history = state.history.write(
+        state.records,
+        objective=trial.residuals.objective * state.scaling.objective,
+        penalized_cost=judgement.reference,
+        predicted_reduction=judgement.predicted,
+        actual_reduction=judgement.actual,
+        ratio=judgement.ratio,
+        radius=state.radius,
+        defect=jnp.max(broken.dynamics),
+        buffer=largest_buffer(broken),
+        accepted=accepted.astype(float),
+    )
+    fields = {
+        "iterate": iterate,
+        "solution": trial.solution,
+        "history": history,
+        "records": state.records + 1,
+        "subproblems": state.subproblems + report.solves,
+        "qp_iterations": state.qp_iterations + report.iterations,
+        "qp_seconds": state.qp_seconds + report.seconds,
+    }
+    return dataclasses.replace(state, **(fields | changed))
+
+
+def tree_where(condition: Array, yes, no):
+    """One tree or the other, leaf by leaf."""
+    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)

@@ -1,0 +1,152 @@
+"""`PaperSCP`: Algorithm 1 of the paper, to the letter."""
+
+import dataclasses
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ._iteration import (
+    SCPState,
+    advance,
+    is_finite,
+    judge,
+    linearized,
+    start,
+    try_step,
+)
+from ._model import Model, PerConstraint, convexified, integral_limits, penalized_cost
+from ._qp import PIQP
+from ._scp import AbstractSCP
+from ._subproblem import Layout, Prices, SubproblemSolution, assemble, extract
+from ._transcription import Transcription, Variables
+
+
+class PaperSCP(AbstractSCP):
+    r"""The paper's loop: virtual control, fixed L1 penalty, norm trust region.
+
+    Every subproblem has virtual control on the dynamics and virtual buffers on nonconvex
+    constraints, both at a fixed price, and a hard trust region at each node (eq. 19),
+
+    $$\|\delta x_k\| + \|\delta u_k\| + |\delta T| \le \Upsilon.$$
+
+    The norms are infinity norms, which a QP can hold and the paper's theorems allow.
+    What the paper leaves open is set so: variables and cost are divided by their scales,
+    so that the radius 1 has a meaning; the cost T u'u, which is not convex in (T, u)
+    together, enters quadratic in u and linear in T; rho and alpha are those of Mao et
+    al., "Successive Convexification", 2017, with rho_0 slightly above zero.
+
+    **Arguments:**
+
+    - `max_iterations`: steps taken at most. As in the paper, rejected ones do not count.
+    - `tolerance`: epsilon of the stopping criterion J^r - L^s <= epsilon (eq. 22),
+        relative to the cost's scale.
+    - `initial_radius`: first radius of the trust region, relative to the scales.
+    - `penalty`: lambda, within the range the paper recommends, 1e2 to 1e5. As in
+        eqs. 14 to 20 the penalty stands under the trapezoidal sum over normalized time.
+    - `rho_0`, `rho_1`, `rho_2`, `alpha`: parameters of the ratio test.
+    - `feasibility_tolerance`: defects and violations, relative to the scales, beyond
+        which virtual variables count as remaining.
+    - `min_radius`: below it the trust region has collapsed.
+    - `qp`: the solver of the subproblems.
+    """
+
+    max_iterations: int = eqx.field(static=True, default=50)
+    tolerance: float = eqx.field(static=True, default=1e-4)
+    initial_radius: float = eqx.field(static=True, default=1.0)
+    penalty: float = eqx.field(static=True, default=1e3)
+    rho_0: float = eqx.field(static=True, default=0.01)
+    rho_1: float = eqx.field(static=True, default=0.25)
+    rho_2: float = eqx.field(static=True, default=0.7)
+    alpha: float = eqx.field(static=True, default=2.0)
+    feasibility_tolerance: float = eqx.field(static=True, default=1e-4)
+    min_radius: float = eqx.field(static=True, default=1e-10)
+    qp: PIQP = PIQP(multistage=False)
+
+    def __check_init__(self):
+        ordered = 0 < self.rho_0 < self.rho_1 < self.rho_2 < 1
+        if not ordered:
+            raise ValueError(
+                f"rho_0={self.rho_0}, rho_1={self.rho_1}, rho_2={self.rho_2}: "
+                "need 0 < rho_0 < rho_1 < rho_2 < 1."
+            )
+        if self.alpha <= 1:
+            raise ValueError(f"alpha={self.alpha}: need alpha > 1.")
+
+    def init(self, transcription: Transcription, guess: Variables) -> SCPState:
+        layout = Layout(transcription, relaxed=True, ball=True)
+        return start(
+            transcription,
+            guess,
+            SubproblemSolution.none(layout),
+            radius=self.initial_radius,
+            ceiling=self.penalty,
+            # Rejected steps are recorded too.
+            records=4 * self.max_iterations,
+        )
+
+    def step(self, transcription: Transcription, state: SCPState) -> SCPState:
+        iterate = linearized(transcription, state.scaling, state.iterate)
+        state = dataclasses.replace(state, iterate=iterate, finite=is_finite(iterate))
+        limits = integral_limits(transcription, state.scaling)
+        weights = self._weights(transcription, state)
+        model = self._model(transcription, state)
+        solution = self._solve(transcription, state, model, weights)
+        reference = penalized_cost(iterate.residuals, limits, weights)
+        expected = penalized_cost(model.predict(solution.step), limits, weights)
+        predicted = reference - expected
+        trial = try_step(transcription, state.scaling, iterate, solution, weights)
+        judgement = judge(reference, predicted, trial, self.rho_0)
+        ratio, radius = judgement.ratio, state.radius
+        radius = jnp.where(ratio < self.rho_1, radius / self.alpha, radius)
+        radius = jnp.where(ratio >= self.rho_2, radius * self.alpha, radius)
+        return advance(
+            transcription,
+            state,
+            trial,
+            judgement,
+            weights=weights,
+            radius=radius,
+            stationary=predicted <= self.tolerance,
+            iterations=state.iterations + judgement.accepted,
+        )
+
+    def _weights(self, transcription: Transcription, state: SCPState) -> PerConstraint:
+        """The penalty under the trapezoidal sum; an integral counts once."""
+        _, widths = transcription.grid
+        none = jnp.zeros(1)
+        share = 0.5 * (jnp.append(widths, none) + jnp.append(none, widths))
+        residuals = state.iterate.residuals
+        ones = jnp.ones_like(residuals.totals)
+        return PerConstraint(
+            dynamics=self.penalty * widths[:, None] * jnp.ones_like(residuals.defects),
+            path=self.penalty * share[:, None] * jnp.ones_like(residuals.path),
+            integral=self.penalty * ones,
+        )
+
+    def _model(self, transcription: Transcription, state: SCPState) -> Model:
+        """Linear constraints and the cost's own curvature."""
+        scaling, iterate = state.scaling, state.iterate
+        rates = jnp.zeros(iterate.residuals.increments.shape[1]).at[-1].set(1.0)
+        none = jnp.zeros_like(iterate.residuals.path)
+        blocks = transcription.curvature(iterate.variables, rates, none)
+        hessian = convexified(scaling.curvature(blocks) / scaling.objective)
+        return Model(iterate.residuals, iterate.derivatives, hessian)
+
+    def _solve(
+        self,
+        transcription: Transcription,
+        state: SCPState,
+        model: Model,
+        weights: PerConstraint,
+    ) -> SubproblemSolution:
+        layout = Layout(transcription, relaxed=True, ball=True)
+        prices = Prices(
+            proximal=jnp.zeros(()),
+            virtual_control=weights.dynamics,
+            path=weights.path,
+            integral=weights.integral,
+            radius=state.radius,
+        )
+        reference = state.iterate.variables
+        qp = assemble(layout, transcription, state.scaling, reference, model, prices)
+        return extract(layout, transcription, self.qp.solve(qp))

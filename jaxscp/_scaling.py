@@ -1,0 +1,181 @@
+"""Scales of variables and constraints, and the convex model in scaled numbers.
+
+Every quantity is divided by its typical size, so that one trust region and one
+tolerance fit all of them. Metres and radians do not meet again until the solution.
+"""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ._bounds import Bounds
+from ._discretization import IntervalJacobians, Jacobian
+from ._transcription import (
+    Derivatives,
+    NodeDerivatives,
+    Residuals,
+    Transcription,
+    Variables,
+)
+from ._types import Array, Float, Scalar
+
+
+class Scaling(eqx.Module):
+    """Typical size of each quantity, in its own unit."""
+
+    state: Float[Array, " n"]
+    control: Float[Array, " m"]
+    time: Scalar
+    integral: Float[Array, " q"]
+    path: Float[Array, " p"]
+    objective: Scalar
+
+    def move(self, variables: Variables, step: Variables) -> Variables:
+        """Variables after a scaled step."""
+        return Variables(
+            variables.states + self.state * step.states,
+            variables.controls + self.control * step.controls,
+            variables.final_time + self.time * step.final_time,
+        )
+
+    def residuals(self, residuals: Residuals) -> Residuals:
+        rates = jnp.append(self.integral, self.objective)
+        return Residuals(
+            objective=residuals.objective / self.objective,
+            defects=residuals.defects / self.state,
+            path=residuals.path / self.path,
+            increments=residuals.increments / rates,
+        )
+
+    def derivatives(self, derivatives: Derivatives) -> Derivatives:
+        rates = jnp.append(self.integral, self.objective)
+        intervals = derivatives.intervals
+        return Derivatives(
+            IntervalJacobians(
+                self._jacobian(intervals.next_state, self.state),
+                self._jacobian(intervals.increments, rates),
+            ),
+            self.node_derivatives(derivatives.nodes),
+        )
+
+    def node_derivatives(self, nodes: NodeDerivatives) -> NodeDerivatives:
+        path = self.path[:, None]
+        return NodeDerivatives(
+            path_state=nodes.path_state * self.state / path,
+            path_control=nodes.path_control * self.control / path,
+            path_time=nodes.path_time * self.time / self.path,
+            terminal_state=nodes.terminal_state * self.state / self.objective,
+            terminal_time=nodes.terminal_time * self.time / self.objective,
+        )
+
+    def curvature(self, blocks: Float[Array, "N w w"]) -> Float[Array, "N w w"]:
+        """Blocks of a scaled function's Hessian by (x, u), in scaled variables."""
+        sizes = jnp.concatenate([self.state, self.control])
+        return blocks * sizes[:, None] * sizes
+
+    def _jacobian(self, jacobian: Jacobian, rows: Float[Array, " r"]) -> Jacobian:
+        rows = rows[:, None]
+
+        def scaled(block, columns):
+            return None if block is None else block * columns / rows
+
+        return Jacobian(
+            left_state=scaled(jacobian.left_state, self.state),
+            left_control=scaled(jacobian.left_control, self.control),
+            time=jacobian.time * self.time / rows[:, 0],
+            right_state=scaled(jacobian.right_state, self.state),
+            right_control=scaled(jacobian.right_control, self.control),
+        )
+
+
+def automatic_scaling(
+    transcription: Transcription, guess: Variables, residuals: Residuals
+) -> Scaling:
+    """Scales from ranges: of the limits, else the boundary values, else the guess."""
+    problem = transcription.problem
+    ends = jnp.stack([problem.initial_state.target, problem.final_state.target])
+    bounds = [integral.bounds for integral in problem.integrals.values()]
+    integral = [
+        _scale(bound, total[None], absolute=True)
+        for bound, total in zip(bounds, residuals.totals, strict=True)
+    ]
+    sizes = Scaling(
+        state=_scale(problem.state, jnp.concatenate([guess.states, ends])),
+        control=_scale(problem.control, guess.controls),
+        time=jnp.abs(guess.final_time),
+        integral=jnp.array(integral).reshape(len(bounds)),
+        path=jnp.ones(residuals.path.shape[1]),
+        objective=jnp.ones(()),
+    )
+    nodes = sizes.node_derivatives(transcription.linearize_nodes(guess))
+    slopes = jnp.sum(jnp.abs(nodes.path_state), axis=2)
+    slopes += jnp.sum(jnp.abs(nodes.path_control), axis=2) + jnp.abs(nodes.path_time)
+    path = _first_positive(jnp.max(slopes, 0), jnp.max(jnp.abs(residuals.path), 0))
+    objective = _objective_scale(transcription, sizes, guess, residuals, nodes)
+    return dataclasses.replace(sizes, path=path, objective=objective)
+
+
+def _scale(
+    bounds: Bounds, values: Float[Array, "k *shape"], absolute: bool = False
+) -> Float[Array, "*shape"]:
+    given = jnp.full(bounds.shape, jnp.nan) if bounds.scale is None else bounds.scale
+    limits = 0.5 * (bounds.upper - bounds.lower)
+    if absolute:
+        largest = jnp.maximum(_finite(bounds.lower), _finite(bounds.upper))
+        limits = jnp.maximum(limits, largest)
+    seen = jnp.where(jnp.isfinite(values), values, jnp.nan)
+    extent = 0.5 * (jnp.nanmax(seen, axis=0) - jnp.nanmin(seen, axis=0))
+    if absolute:
+        limits = jnp.where(jnp.isfinite(limits), limits, largest)
+    return _first_positive(given, limits, extent, jnp.nanmax(jnp.abs(seen), axis=0))
+
+
+def _finite(values: Array) -> Array:
+    return jnp.where(jnp.isfinite(values), jnp.abs(values), 0.0)
+
+
+def _first_positive(*candidates: Array) -> Array:
+    """The first usable candidate, entry by entry; 1 if there is none."""
+    scale = jnp.ones_like(candidates[-1])
+    for candidate in reversed(candidates):
+        usable = jnp.isfinite(candidate) & (candidate > 0)
+        scale = jnp.where(usable, candidate, scale)
+    return scale
+
+
+def _objective_scale(
+    transcription: Transcription,
+    sizes: Scaling,
+    guess: Variables,
+    residuals: Residuals,
+    nodes: NodeDerivatives,
+) -> Scalar:
+    """Size of the cost over the scaled variables' ranges.
+
+    The guess alone may cost nothing (no control), so the cost's slope and curvature over
+    one range count too. All of them are homogeneous in the cost: a cost in other units
+    leaves the scaled problem as it was.
+    """
+    rates = jnp.zeros(residuals.increments.shape[1]).at[-1].set(1.0)
+    blocks = transcription.curvature(guess, rates, jnp.zeros_like(residuals.path))
+    traces = jnp.trace(sizes.curvature(blocks), axis1=1, axis2=2)
+    by_state, by_control = jax.vmap(
+        jax.grad(transcription.problem.running_cost, argnums=(1, 2))
+    )(
+        guess.final_time * transcription.fractions,
+        guess.states,
+        transcription.nodal_controls(guess),
+    )
+    slopes = jnp.abs(by_state) @ sizes.state + jnp.abs(by_control) @ sizes.control
+    seen = jnp.stack(
+        [
+            jnp.abs(residuals.objective),
+            0.5 * jnp.sum(jnp.abs(traces)),
+            guess.final_time * jnp.mean(slopes),
+            jnp.max(jnp.abs(nodes.terminal_state), initial=0.0),
+            jnp.abs(nodes.terminal_time),
+        ]
+    )
+    return _first_positive(jnp.max(seen))

@@ -1,0 +1,87 @@
+"""What an SCP method is, the loop that runs it, and how a solve ends."""
+
+import abc
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ._iteration import SCPState, largest_buffer
+from ._model import integral_limits, violations
+from ._status import Status
+from ._transcription import Transcription, Variables
+from ._types import Array
+
+class AbstractSCP(eqx.Module):
+    """A method: how a reference becomes the next one.
+
+    `init` and `step` know nothing of loops; `run` knows nothing of methods.
+    """
+
+    max_iterations: eqx.AbstractVar[int]
+    feasibility_tolerance: eqx.AbstractVar[float]
+    min_radius: eqx.AbstractVar[float]
+
+    @abc.abstractmethod
+    def init(self, transcription: Transcription, guess: Variables) -> SCPState:
+        """The state before the first subproblem."""
+
+    @abc.abstractmethod
+    def step(self, transcription: Transcription, state: SCPState) -> SCPState:
+        """Solve one subproblem, judge its step, take it or not."""
+
+    def terminate(
+        self, transcription: Transcription, state: SCPState
+    ) -> tuple[Array, Status]:
+        """Whether to stop, and with which status. Nothing else decides a status."""
+        limits = integral_limits(transcription, state.scaling)
+        broken = violations(state.iterate.residuals, limits)
+        dynamics = jnp.max(broken.dynamics)
+        buffer = largest_buffer(broken)
+        feasible = jnp.maximum(dynamics, buffer) <= self.feasibility_tolerance
+        report = state.solution.report
+        status = Status.iteration_limit
+        done = state.iterations >= self.max_iterations
+        for happened, name in (
+            (state.radius < self.min_radius, Status.trust_region_collapsed),
+            (
+                state.stationary & ~feasible & (buffer > dynamics),
+                Status.virtual_buffer_remains,
+            ),
+            (
+                state.stationary & ~feasible & (buffer <= dynamics),
+                Status.virtual_control_remains,
+            ),
+            (state.stationary & feasible, Status.converged),
+            (~report.solved, Status.subproblem_failed),
+            (~report.solved & report.infeasible, Status.subproblem_infeasible),
+            (~state.finite, Status.non_finite),
+        ):
+            status = Status.where(happened, name, status)
+            done = done | happened
+        return done, status
+
+
+def run(
+    method: AbstractSCP,
+    transcription: Transcription,
+    guess: Variables,
+    progress: Callable[[dict], None] | None = None,
+) -> tuple[SCPState, Status]:
+    """Iterate until the method terminates, in one compiled loop."""
+
+    def body(state: SCPState) -> SCPState:
+        state = method.step(transcription, state)
+        if progress is not None:
+            record = jax.tree.map(lambda h: h[state.records - 1], state.history)
+            values = {name: getattr(record, name) for name in vars(record)}
+            jax.debug.callback(progress, {"iteration": state.iterations, **values})
+        return state
+
+    state = jax.lax.while_loop(
+        lambda state: ~method.terminate(transcription, state)[0],
+        body,
+        method.init(transcription, guess),
+    )
+    return state, method.terminate(transcription, state)[1]

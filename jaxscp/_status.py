@@ -1,0 +1,37 @@
+"""`Status`: how a solve ended, as sentences."""
+
+import equinox as eqx
+
+
+class Status(eqx.Enumeration):
+    """Why a solve stopped. Only `converged` is a success."""
+
+    converged = "Converged to a feasible stationary point of the discrete problem."
+    iteration_limit = (
+        "The iteration limit was reached before convergence. Raise max_iterations, or "
+        "start from a better guess."
+    )
+    subproblem_infeasible = (
+        "A convex subproblem has no solution: limits contradict each other even with "
+        "virtual control. Check the limits, boundary states and final time."
+    )
+    subproblem_failed = (
+        "The QP solver failed on a subproblem. Check that the problem's functions are "
+        "smooth at the guess and that its scales are right."
+    )
+    virtual_control_remains = (
+        "The dynamics cannot be met within the limits from this guess: virtual control "
+        "remains. Widen the limits or the final time, or start from another guess."
+    )
+    virtual_buffer_remains = (
+        "A constraint cannot be met from this guess: a virtual buffer remains. Relax "
+        "the constraint, or start from a guess that comes closer to meeting it."
+    )
+    trust_region_collapsed = (
+        "The trust region collapsed: no step improves the penalized cost any more. "
+        "Check that dynamics, costs and constraints are differentiable on the way."
+    )
+    non_finite = (
+        "A function of the problem returned NaN or infinity. Guard it against "
+        "singular points (division by zero, powers, roots, arcsines)."
+    )

@@ -1,0 +1,263 @@
+"""The discrete problem: objective, defects and constraints of nodal variables.
+
+The convex subproblem, the penalized cost and the convergence test all take their
+formulas from here.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ._discretization import (
+    Discretization,
+    IntervalJacobians,
+    Intervals,
+    integrand_rates,
+    linearize,
+    propagate,
+)
+from ._problem import OptimalControlProblem
+from ._trajectory import Trajectory
+from ._types import Array, Float, Scalar
+
+
+class Variables(eqx.Module):
+    """Decision variables: nodal states, the `M` free nodal controls, the flight time."""
+
+    states: Float[Array, "N n"]
+    controls: Float[Array, "M m"]
+    final_time: Scalar
+
+
+class Residuals(eqx.Module):
+    """Objective and constraint functions at one point.
+
+    - `objective`: cost, in its own unit.
+    - `defects`: next node minus the flow's end, state units.
+    - `path`: all path constraints one after the other, g <= 0.
+    - `increments`: growth of each integral and of the running cost in each interval.
+    """
+
+    objective: Scalar
+    defects: Float[Array, "N-1 n"]
+    path: Float[Array, "N p"]
+    increments: Float[Array, "N-1 q+1"]
+
+    @property
+    def totals(self) -> Float[Array, " q"]:
+        """The integrals over the whole flight."""
+        return jnp.sum(self.increments[:, :-1], axis=0)
+
+
+class NodeDerivatives(eqx.Module):
+    """First derivatives of what depends on one node alone.
+
+    - `path_state`, `path_control`, `path_time`: of the path constraints.
+    - `terminal_state`, `terminal_time`: of the terminal cost.
+    """
+
+    path_state: Float[Array, "N p n"]
+    path_control: Float[Array, "N p m"]
+    path_time: Float[Array, "N p"]
+    terminal_state: Float[Array, " n"]
+    terminal_time: Scalar
+
+
+class Derivatives(eqx.Module):
+    """First derivatives of [`Residuals`][]."""
+
+    intervals: IntervalJacobians
+    nodes: NodeDerivatives
+
+
+def held(controls: Float[Array, "M m"], nodes: int) -> Float[Array, "N m"]:
+    """One control a node: the last one repeats where nodes have none of their own."""
+    missing = nodes - controls.shape[0]
+    return jnp.concatenate([controls, jnp.repeat(controls[-1:], missing, axis=0)])
+
+
+class Transcription(eqx.Module):
+    """A problem on a grid of `N` nodes."""
+
+    problem: OptimalControlProblem
+    discretization: Discretization
+    fractions: Float[Array, " N"]
+
+    @property
+    def nodes(self) -> int:
+        return self.fractions.shape[0]
+
+    @property
+    def control_nodes(self) -> int:
+        return self.discretization.control_nodes(self.nodes)
+
+    @property
+    def grid(self) -> tuple[Float[Array, " N-1"], Float[Array, " N-1"]]:
+        """Normalized start and width of each interval."""
+        return self.fractions[:-1], jnp.diff(self.fractions)
+
+    @property
+    def path_sizes(self) -> dict[str, int]:
+        """Entries of each path constraint."""
+        problem = self.problem
+        point = (self.fractions[0], problem.state.lower, problem.control.lower)
+        return {
+            name: int(jax.eval_shape(constraint, *point).size)
+            for name, constraint in problem.path_constraints.items()
+        }
+
+    def variables(self, guess: Trajectory) -> Variables:
+        """The guess with every limit and fixed boundary entry met."""
+        problem = self.problem
+        states = jnp.clip(guess.states, *self.state_limits)
+        controls = problem.control.clip(guess.controls[: self.control_nodes])
+        return Variables(states, controls, problem.final_time.clip(guess.final_time))
+
+    def trajectory(self, variables: Variables) -> Trajectory:
+        return Trajectory(
+            fractions=self.fractions,
+            states=variables.states,
+            controls=self.nodal_controls(variables),
+            final_time=variables.final_time,
+        )
+
+    def nodal_controls(self, variables: Variables) -> Float[Array, "N m"]:
+        """A control for every node: the last free one is held to the end."""
+        return held(variables.controls, self.nodes)
+
+    @property
+    def fixed_states(self) -> np.ndarray:
+        """Static mask (N, n) of the nodal states that are fixed."""
+        problem = self.problem
+        mask = np.tile(problem.state.is_fixed, (self.nodes, 1))
+        mask[0] |= problem.initial_state.is_fixed
+        mask[-1] |= problem.final_state.is_fixed
+        return mask
+
+    @property
+    def state_limits(self) -> tuple[Float[Array, "N n"], Float[Array, "N n"]]:
+        """Lower and upper limits of every nodal state; equal where it is fixed."""
+        problem = self.problem
+        shape = (self.nodes, problem.state_size)
+        lower = jnp.broadcast_to(problem.state.lower, shape)
+        upper = jnp.broadcast_to(problem.state.upper, shape)
+        for node, bounds in ((0, problem.initial_state), (-1, problem.final_state)):
+            target, fixed = bounds.target, bounds.is_fixed
+            low = jnp.where(fixed, target, jnp.maximum(lower[node], bounds.lower))
+            high = jnp.where(fixed, target, jnp.minimum(upper[node], bounds.upper))
+            lower, upper = lower.at[node].set(low), upper.at[node].set(high)
+        return lower, upper
+
+    def evaluate(self, variables: Variables, substeps: Array | int) -> Residuals:
+        intervals = propagate(*self._arguments(variables, substeps))
+        return self._residuals(variables, intervals)
+
+    def linearize(
+        self, variables: Variables, substeps: Array | int
+    ) -> tuple[Residuals, Derivatives]:
+        """Values and first derivatives, all intervals and nodes at once."""
+        intervals, jacobians = linearize(*self._arguments(variables, substeps))
+        derivatives = Derivatives(jacobians, self.linearize_nodes(variables))
+        return self._residuals(variables, intervals), derivatives
+
+    def linearize_nodes(self, variables: Variables) -> NodeDerivatives:
+        """Derivatives of path constraints and terminal cost."""
+
+        def at_node(fraction, x, u):
+            def path(x, u, time):
+                return self._path(time * fraction, x, u)
+
+            return jax.jacfwd(path, argnums=(0, 1, 2))(x, u, variables.final_time)
+
+        path = jax.vmap(at_node)(
+            self.fractions, variables.states, self.nodal_controls(variables)
+        )
+        terminal = jax.grad(self.problem.terminal_cost, argnums=(1, 0))(
+            variables.final_time, variables.states[-1]
+        )
+        return NodeDerivatives(*path, *terminal)
+
+    def curvature(
+        self,
+        variables: Variables,
+        rate_weights: Float[Array, " q+1"],
+        path_weights: Float[Array, "N p"],
+    ) -> Float[Array, "N n+m n+m"]:
+        """Hessian of the weighted integrands and path constraints, node by node.
+
+        The second derivative of the Lagrangian but for the dynamics' part: integrands
+        count with the time their node stands for, path constraints once.
+        """
+        _, widths = self.grid
+        none = jnp.zeros(1)
+        state_share = 0.5 * (jnp.append(widths, none) + jnp.append(none, widths))
+        # A held control acts on the interval behind its node only.
+        held_control = self.control_nodes < self.nodes
+        control_share = jnp.append(widths, none) if held_control else state_share
+        final_time = variables.final_time
+        size = self.problem.state_size
+
+        def block(fraction, x, u, of_state, of_control, weights):
+            t = final_time * fraction
+
+            def rates(z):
+                values = integrand_rates(self.problem, t, z[:size], z[size:])
+                return rate_weights @ values
+
+            def path(z):
+                return weights @ self._path(t, z[:size], z[size:])
+
+            z = jnp.concatenate([x, u])
+            share = jnp.concatenate(
+                [jnp.broadcast_to(of_state, x.shape), jnp.broadcast_to(of_control, u.shape)]
+            )
+            root = jnp.sqrt(final_time * share)
+            hessian = jax.hessian(rates)(z) * root[:, None] * root
+            return hessian + jax.hessian(path)(z) if weights.size else hessian
+
+        blocks = jax.vmap(block)(
+            self.fractions,
+            variables.states,
+            self.nodal_controls(variables),
+            state_share,
+            control_share,
+            path_weights,
+        )
+        terminal = jax.hessian(self.problem.terminal_cost, argnums=1)(
+            final_time, variables.states[-1]
+        )
+        blocks = blocks.at[-1, :size, :size].add(rate_weights[-1] * terminal)
+        if not held_control:
+            return blocks
+        # The last node has no control of its own.
+        return blocks.at[-1, size:].set(0.0).at[-1, :, size:].set(0.0)
+
+    def _arguments(self, variables: Variables, substeps):
+        return (
+            self.problem,
+            self.discretization,
+            substeps,
+            self.grid,
+            variables.states,
+            self.nodal_controls(variables),
+            variables.final_time,
+        )
+
+    def _path(self, t: Scalar, x: Array, u: Array) -> Float[Array, " p"]:
+        constraints = self.problem.path_constraints.values()
+        values = [jnp.ravel(constraint(t, x, u)) for constraint in constraints]
+        return jnp.concatenate(values) if values else jnp.zeros(0, x.dtype)
+
+    def _residuals(self, variables: Variables, intervals: Intervals) -> Residuals:
+        states, final_time = variables.states, variables.final_time
+        path = jax.vmap(self._path)(
+            final_time * self.fractions, states, self.nodal_controls(variables)
+        )
+        terminal = self.problem.terminal_cost(final_time, states[-1])
+        return Residuals(
+            objective=jnp.sum(intervals.increments[:, -1]) + terminal,
+            defects=states[1:] - intervals.next_state,
+            path=path,
+            increments=intervals.increments,
+        )

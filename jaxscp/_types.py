@@ -1,0 +1,52 @@
+"""Axis names and aliases used in every shape annotation.
+
+=====  ==========================================================
+Axis   Meaning
+=====  ==========================================================
+`N`    nodes of the time grid; `N-1` intervals lie between them
+`n`    entries of the state
+`m`    entries of the control
+`p`    entries of one path constraint
+`q`    integral constraints
+=====  ==========================================================
+"""
+
+from collections.abc import Callable
+from typing import TypeAlias
+
+import jax
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float, PyTree
+
+Scalar: TypeAlias = Float[Array, ""]
+State: TypeAlias = Float[Array, " n"]
+Control: TypeAlias = Float[Array, " m"]
+# f(t, x, u): the signature of dynamics, costs, path constraints and integrands.
+TimeStateControl: TypeAlias = Callable[[Scalar, State, Control], Array]
+
+__all__ = [
+    "Array",
+    "ArrayLike",
+    "Control",
+    "Float",
+    "PyTree",
+    "Scalar",
+    "State",
+    "TimeStateControl",
+    "is_concrete",
+]
+
+
+def is_concrete(*values: object) -> bool:
+    """Whether every value is a number now, not a tracer of some transformation.
+
+    Checks of values run only on concrete ones: under `jax.jit`, `jax.grad` or
+    `jax.vmap` the numbers do not exist yet when Python runs.
+    """
+    return not any(
+        isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values)
+    ) and all(
+        isinstance(leaf, (np.ndarray, np.generic, jax.Array, int, float, bool))
+        for leaf in jax.tree.leaves(values)
+    )

@@ -1,0 +1,124 @@
+"""The paper's missions by name, and changes to them.
+
+    mission = missions.get("urban-30MB-60dB")
+    heavier = missions.replace(mission, "vehicle.mass", 3.5)
+
+The paper states b = 60 without a unit. Missions with data exist twice: with b = 60
+taken linearly, and with "-60dB" at the end, where it is decibels, b = 1e6.
+
+What the paper leaves open is set here, in the defaults of `Limits`, `Rotors` and
+`GuessPlan`, and can be changed: 1 MB = 8e6 bit, g = 9.81 m/s^2, rotors that lift twice
+the weight at 600 rad/s, torque limits, and an altitude floor of 10 m where data are
+required (without one the optimizer flies into the antenna).
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+from ._guess_plan import GuessPlan as GuessPlan
+from ._mission import Mission as Mission
+from ._records import dotted_paths, from_dict, to_dict, with_entries
+from .models.channel import Channel
+from .models.limits import Limits
+from .models.obstacles import Cylinders
+from .models.quadrotor import Quadrotor
+
+BITS_PER_MEGABYTE = 8e6
+# b = 60 as decibels, and as it stands.
+_SNR_60_DB, _SNR_60 = 1e6, 60.0
+
+# Name to (urban, required data [MB], b).
+_MISSIONS = {
+    "free-flight": (False, None, _SNR_60),
+    "urban-flight": (True, None, _SNR_60),
+    "free-space-30MB": (False, 30, _SNR_60),
+    "free-space-50MB": (False, 50, _SNR_60),
+    "free-space-70MB": (False, 70, _SNR_60),
+    "urban-30MB": (True, 30, _SNR_60),
+    "free-space-30MB-60dB": (False, 30, _SNR_60_DB),
+    "free-space-50MB-60dB": (False, 50, _SNR_60_DB),
+    "free-space-70MB-60dB": (False, 70, _SNR_60_DB),
+    "urban-30MB-60dB": (True, 30, _SNR_60_DB),
+}
+# Not numbers: they say what a mission is called.
+_LABELS = ("name", "summary")
+
+
+def names() -> tuple[str, ...]:
+    """Names of all missions."""
+    return tuple(_MISSIONS)
+
+
+def get(name: str) -> Mission:
+    """The mission of that name (paper, Section V and Tables I, II).
+
+    **Raises:** `ValueError` for an unknown name, listing those that exist.
+    """
+    if name not in _MISSIONS:
+        raise ValueError(
+            f"mission={name!r}: no such mission; choose one of {', '.join(_MISSIONS)}."
+        )
+    urban, megabytes, snr_constant = _MISSIONS[name]
+    return Mission(
+        name,
+        _summary(urban, megabytes, snr_constant),
+        vehicle=Quadrotor(),
+        channel=Channel(snr_constant=snr_constant),
+        obstacles=_buildings() if urban else Cylinders(),
+        limits=Limits(),
+        start=(0.0, 0.0, 10.0),
+        goal=(500.0, 500.0, 100.0),
+        altitude_floor=None if megabytes is None else 10.0,
+        data_required=None if megabytes is None else megabytes * BITS_PER_MEGABYTE,
+        plan=_plan(megabytes, snr_constant),
+    )
+
+
+def paths(mission: Mission) -> tuple[str, ...]:
+    """Dotted paths of everything that can be replaced in a mission."""
+    return tuple(path for path in dotted_paths(to_dict(mission)) if path not in _LABELS)
+
+
+def replace(mission: Mission, path: str, value: Any) -> Mission:
+    """The mission with one number, or list of numbers, changed.
+
+    **Arguments:**
+
+    - `path`: one of [`paths`][], such as `vehicle.mass`.
+    - `value`: of the same shape. `obstacles.centers` and `obstacles.safe_distances`
+        may change their length, which takes [`replace_many`][]; `data_required`,
+        `altitude_floor` and `plan.transit_share` may be None.
+
+    **Raises:** `ValueError` on a path that does not exist, listing those that do, and
+    on a value of the wrong type, shape or range.
+    """
+    return replace_many(mission, {path: value})
+
+
+def replace_many(mission: Mission, changes: Mapping[str, Any]) -> Mission:
+    """The mission with several entries changed together, as in [`replace`][].
+
+    Whether they agree with each other is checked once all are in place.
+    """
+    entries = to_dict(mission)
+    labels = {label: entries.pop(label) for label in _LABELS}
+    return from_dict(Mission, with_entries(entries, changes) | labels)
+
+
+def _buildings() -> Cylinders:
+    """Both buildings of the paper's Section V-B."""
+    return Cylinders([(190.0, 200.0), (420.0, 400.0)], [40.0, 40.0])
+
+
+def _plan(megabytes: int | None, snr_constant: float) -> GuessPlan:
+    """With b = 60 the rate is worth having only as close as allowed, for minutes."""
+    if megabytes is None or snr_constant == _SNR_60_DB:
+        return GuessPlan()
+    return GuessPlan(loiter_height=10.0, transit_share=0.7)
+
+
+def _summary(urban: bool, megabytes: int | None, snr_constant: float) -> str:
+    where = "past two buildings" if urban else "in free space"
+    if megabytes is None:
+        return f"least energy {where}, no data"
+    return f"least energy {where}, {megabytes:g} MB to send, b = {snr_constant:g}"

@@ -1,0 +1,98 @@
+"""The figure of a solved mission."""
+
+from typing import cast
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from mpl_toolkits.mplot3d import Axes3D
+
+from .._solution import Solution
+from .._trajectory import Trajectory
+from ..missions import Mission
+from ._routes import isometric, top_view
+from ._series import control, curves, dense
+from ._style import BLUE, LIMIT, shade_limits
+
+MEGA = 1e6
+
+
+def mission(
+    mission: Mission, solution: Solution, guess: Trajectory | None = None
+) -> Figure:
+    """Draw a solved mission: its route from above and in space, and what limits it.
+
+    **Arguments:**
+
+    - `mission`: whose problem was solved.
+    - `solution`: states in the mission's order.
+    - `guess`: the trajectory the solve started from, drawn dotted.
+
+    **Returns:** a `Figure`; `figure.savefig("file.pdf")` writes it.
+    """
+    figure = Figure(figsize=(12.0, 9.0), layout="constrained")
+    left, right = figure.add_gridspec(1, 2, width_ratios=(1.15, 1.0))
+    route = dense(solution)
+    places, series = left.subgridspec(2, 1), right.subgridspec(5, 1)
+    above = figure.add_subplot(places[0])
+    top_view(above, mission, route, guess)
+    above.legend(loc="upper left", fontsize="small")
+    space = cast(Axes3D, figure.add_subplot(places[1], projection="3d"))
+    isometric(space, mission, route, guess)
+    panels = series.subplots(sharex=True)
+    _speed(panels[0], route)
+    _tilt(panels[1], mission, route)
+    _thrust(panels[2], mission, solution)
+    _rate(panels[3], mission, route)
+    _data(panels[4], mission, route)
+    panels[-1].set_xlabel("time [s]")
+    figure.suptitle(_title(mission, solution))
+    return figure
+
+
+def _title(mission: Mission, solution: Solution) -> str:
+    objective = float(solution.objective)
+    final_time = float(solution.trajectory.final_time)
+    return f"{mission.name}: {objective:,.0f} N² s in {final_time:.2f} s"
+
+
+def _speed(ax: Axes, route: Trajectory) -> None:
+    speed = np.linalg.norm(np.asarray(route.states)[:, 3:6], axis=1)
+    curves(ax, np.asarray(route.times), {"speed": speed})
+    ax.set_ylabel("speed [m/s]")
+
+
+def _tilt(ax: Axes, mission: Mission, route: Trajectory) -> None:
+    angles = np.degrees(np.asarray(route.states)[:, 6:8])
+    roll, pitch = angles.T
+    curves(ax, np.asarray(route.times), {"roll": roll, "pitch": pitch})
+    limit = float(np.degrees(mission.limits.tilt))
+    shade_limits(ax, -limit, limit, always=True)
+    ax.set_ylabel("tilt [deg]")
+
+
+def _thrust(ax: Axes, mission: Mission, solution: Solution) -> None:
+    control(ax, solution, 0)
+    shade_limits(ax, 0.0, float(mission.limits.thrust), always=True)
+    ax.set_ylabel("thrust [N]")
+
+
+def _rates(mission: Mission, route: Trajectory) -> np.ndarray:
+    """Data rate along the route [bit/s]."""
+    return np.asarray(mission.channel.rate(route.states[:, :3]))
+
+
+def _rate(ax: Axes, mission: Mission, route: Trajectory) -> None:
+    ax.plot(route.times, _rates(mission, route) / MEGA, color=BLUE)
+    ax.set_ylabel("rate [Mbit/s]")
+
+
+def _data(ax: Axes, mission: Mission, route: Trajectory) -> None:
+    rates, times = _rates(mission, route), np.asarray(route.times)
+    steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times)
+    ax.plot(times, np.concatenate([[0.0], np.cumsum(steps)]) / MEGA, color=BLUE)
+    if mission.data_required is not None:
+        required = float(mission.data_required) / MEGA
+        ax.axhline(required, color=LIMIT, linewidth=0.8, label="required at the end")
+        ax.legend(loc="upper left", fontsize="small")
+    ax.set_ylabel("data [Mbit]")

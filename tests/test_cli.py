@@ -1,0 +1,189 @@
+"""The command line: its contract with scripts."""
+
+import json
+import os
+import sys
+
+import numpy as np
+import pytest
+
+from jaxscp import missions
+from jaxscp.__main__ import main
+
+KEYS = {
+    "mission",
+    "status",
+    "converged",
+    "verified",
+    "objective",
+    "final_time",
+    "data_bits",
+    "data_required_bits",
+    "defect_max",
+    "position_error",
+    "violations",
+    "iterations",
+    "subproblems",
+    "seconds",
+    "versions",
+}
+QUICK = ("solve", "free-flight", "--nodes", "25")
+
+
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
+    """Exit status and folder of a solve that writes everything."""
+    folder = tmp_path_factory.mktemp("solved")
+    options = ("--json", folder / "a.json", "--save", folder / "a.npz")
+    options += ("--plot", folder / "a.png", "--quiet")
+    return main([*QUICK, *map(str, options)]), folder
+
+
+def refused(capsys, arguments):
+    """Run a command that must be refused; its one line of error."""
+    assert main(arguments) == 2
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.count("\n") == 1, output.err
+    return output.err
+
+
+def test_missions_are_listed_a_line_each(capsys):
+    assert main(["missions"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert tuple(line.split()[0] for line in lines) == missions.names()
+
+
+def test_help_succeeds(capsys):
+    assert main(["--help"]) == 0
+    assert "verify" in capsys.readouterr().out
+
+
+def test_solve_writes_what_was_asked_for(solved):
+    status, folder = solved
+    assert status == 0
+    assert sorted(os.listdir(folder)) == ["a.json", "a.npz", "a.png"]
+    assert (folder / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_json_holds_the_contract(solved):
+    report = json.loads((solved[1] / "a.json").read_text())
+    assert set(report) == KEYS
+    assert report["mission"] == "free-flight"
+    assert report["status"] == "converged"
+    assert report["converged"] is True
+    assert report["verified"] is True
+    assert report["data_required_bits"] is None
+    assert 0.0 <= report["position_error"] < 0.1
+    assert 0.0 <= report["defect_max"] < 1e-3
+    assert report["subproblems"] >= report["iterations"] >= 1
+    assert set(report["seconds"]) == {"import", "compile", "solve"}
+    assert all(spent > 0 for spent in report["seconds"].values())
+    assert {"jaxscp", "jax", "piqp"} <= set(report["versions"])
+    for violation in report["violations"].values():
+        assert set(violation) == {"value", "unit", "time"}
+
+
+def test_npz_holds_the_contract(solved):
+    report = json.loads((solved[1] / "a.json").read_text())
+    with np.load(solved[1] / "a.npz") as entries:
+        assert set(entries) == {"time", "state", "control", "final_time", "mission"}
+        assert entries["time"].shape == (25,)
+        assert entries["state"].shape == (25, 12)
+        assert entries["control"].shape == (25, 4)
+        assert float(entries["final_time"]) == report["final_time"]
+        assert entries["time"][-1] == pytest.approx(report["final_time"])
+        mission = missions.Mission.from_json(str(entries["mission"]))
+        np.testing.assert_allclose(entries["state"][0, :3], mission.start, atol=1e-6)
+
+
+def test_saved_file_verifies(solved, capsys):
+    assert main(["verify", str(solved[1] / "a.npz")]) == 0
+    assert "free-flight" in capsys.readouterr().out
+
+
+def test_tampered_file_does_not_verify(solved, tmp_path, capsys):
+    with np.load(solved[1] / "a.npz") as entries:
+        changed = {name: entries[name] for name in entries}
+    changed["control"] = changed["control"] * 1.1
+    np.savez(tmp_path / "b.npz", **changed)
+    assert main(["verify", str(tmp_path / "b.npz")]) == 1
+    assert "no" in capsys.readouterr().out.split()
+
+
+@pytest.mark.parametrize("kept", [0, 10, 2000, -30])
+def test_truncated_file_is_refused(solved, tmp_path, capsys, kept):
+    cut = tmp_path / "cut.npz"
+    cut.write_bytes((solved[1] / "a.npz").read_bytes()[:kept])
+    assert str(cut) in refused(capsys, ["verify", str(cut)])
+
+
+def test_foreign_files_are_refused(tmp_path, capsys):
+    np.savez(tmp_path / "other.npz", time=np.zeros(3))
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    assert "state" in refused(capsys, ["verify", str(tmp_path / "other.npz")])
+    assert "array.npy" in refused(capsys, ["verify", str(tmp_path / "array.npy")])
+    assert "no such file" in refused(capsys, ["verify", str(tmp_path / "none.npz")])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["free-fligth"], ["free-fligth", "free-flight"]),
+        (["free-flight", "--set", "vehicle.mas=3"], ["vehicle.mas", "vehicle.mass"]),
+        (["free-flight", "--set", "vehicle.mass=-3"], ["mass", "-3"]),
+        (["free-flight", "--set", "vehicle.mass=[1, 2]"], ["mass", "(2,)"]),
+        (["free-flight", "--set", 'vehicle.mass="heavy"'], ["mass", "heavy"]),
+        (["free-flight", "--set", "vehicle.mass=NaN"], ["vehicle.mass", "NaN"]),
+        (["free-flight", "--set", "vehicle.mass="], ["vehicle.mass", "JSON"]),
+        (["free-flight", "--set", "vehicle.mass"], ["vehicle.mass", "PATH=JSON"]),
+        (["free-flight", "--set", "start=[0, 0]"], ["start", "(2,)"]),
+        (["urban-flight", "--set", "start=[190, 200, 20]"], ["building"]),
+        (["free-flight", "--nodes", "1"], ["nodes", "'1'"]),
+        (["free-flight", "--nodes", "ten"], ["nodes", "'ten'"]),
+        (["free-flight", "--method", "newton"], ["newton", "proximal", "paper"]),
+        (["free-flight", "--fast"], ["--fast"]),
+    ],
+    ids=lambda value: " ".join(value),
+)
+def test_bad_input_is_refused(arguments, named, tmp_path, capsys):
+    outputs = ["--json", tmp_path / "a.json", "--save", tmp_path / "a.npz"]
+    error = refused(capsys, ["solve", *arguments, *map(str, outputs)])
+    assert all(text in error for text in named), error
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("option", ["--json", "--save", "--plot"])
+def test_unwritable_output_is_refused(option, tmp_path, capsys):
+    missing = tmp_path / "missing" / "file.png"
+    assert str(missing) in refused(capsys, [*QUICK, option, str(missing)])
+    assert "directory" in refused(capsys, [*QUICK, option, str(tmp_path)])
+    assert os.listdir(tmp_path) == []
+
+
+def test_unknown_picture_format_is_refused(tmp_path, capsys):
+    error = refused(capsys, [*QUICK, "--plot", str(tmp_path / "a.xyz")])
+    assert ".png" in error
+    assert os.listdir(tmp_path) == []
+
+
+def test_output_may_be_a_device(capsys):
+    """A rename would replace the device by a file."""
+    assert main([*QUICK, "--quiet", "--json", os.devnull]) == 0
+    assert capsys.readouterr().out == ""
+    assert not os.path.isfile(os.devnull)
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_progress_is_for_terminals(terminal, capsys, monkeypatch):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    assert main([*QUICK]) == 0
+    output = capsys.readouterr()
+    assert "objective" in output.out
+    lines = output.err.splitlines()
+    if terminal:
+        assert lines[0].split()[0] == "iteration"
+        assert lines[1].split()[0] == "1"
+    else:
+        assert lines == []

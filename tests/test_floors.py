@@ -1,0 +1,81 @@
+"""The package is built in floors: a module imports only from floors below its own."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "jaxscp"
+
+# From the ground up. A folder's `__init__` goes by the folder's name, the package's own
+# by the empty one.
+FLOORS = (
+    {"_types", "_status", "_records", "plot._style"},
+    {"_bounds", "_hold", "_qp", "models._parameters", "models._smooth"},
+    {"models.channel", "models.obstacles", "models.quadrotor", "models.systems"},
+    {"_problem", "models"},
+    {"_trajectory", "textbook", "_discretization", "_repropagation", "_limit_checks"},
+    {"_transcription", "_verification", "_guess_plan"},
+    {"_scaling", "verify", "_mission"},
+    {"_model", "missions"},
+    {"_subproblem"},
+    {"_scp", "_solution"},
+    {"_proximal", "_paper"},
+    {"_solve"},
+    {""},
+    {"plot._routes", "plot._series"},
+    {"plot._mission"},
+    {"plot"},
+    {"_files", "_cli._arguments", "_cli._report", "_cli._timing"},
+    {"_cli._commands"},
+    {"_cli"},
+    {"__main__"},
+)
+FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
+
+
+def name_of(path: Path) -> str:
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {name_of(path): path for path in sorted(PACKAGE.rglob("*.py"))}
+
+
+def imported(name: str) -> set[str]:
+    """Modules of the package that this one imports, anywhere in its text."""
+    found = set()
+    folder = ["jaxscp", *filter(None, name.split("."))]
+    if MODULES[name].name != "__init__.py":
+        folder.pop()
+    for node in ast.walk(ast.parse(MODULES[name].read_text())):
+        if isinstance(node, ast.Import):
+            targets = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = folder[: len(folder) - node.level + 1] if node.level else []
+            origin = ".".join([*base, *filter(None, [node.module])])
+            targets = [f"{origin}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for target in targets:
+            if target == "jaxscp" or target.startswith("jaxscp."):
+                inner = target.removeprefix("jaxscp").removeprefix(".")
+                # What is no module is a name in one.
+                found.add(inner if inner in MODULES else inner.rpartition(".")[0])
+    return found
+
+
+@pytest.mark.parametrize("name", sorted(MODULES))
+def test_imports_point_down(name):
+    assert name in FLOOR, f"{name} has no floor yet: add it to FLOORS"
+    level = {other: FLOOR[other] for other in imported(name)}
+    assert all(below < FLOOR[name] for below in level.values()), (name, level)
+
+
+def test_the_floors_hold_modules_that_exist():
+    assert set(FLOOR) <= set(MODULES)
+
+
+def test_imports_are_seen():
+    assert imported("_trajectory") == {"_problem", "_types"}
+    assert imported("models.channel") >= {"_types", "models._smooth"}

@@ -1,0 +1,408 @@
+"""`verify` against trajectories known by hand, none of them solved by the library."""
+
+import ast
+import inspect
+import math
+from pathlib import Path
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxscp._bounds import Bounds
+from jaxscp._hold import AbstractHold, FirstOrderHold, ZeroOrderHold
+from jaxscp._problem import Integral, OptimalControlProblem
+from jaxscp._trajectory import Trajectory
+from jaxscp.verify import Verification, verify
+
+
+def double_integrator(t, x, u):
+    return jnp.stack([x[1], u[0]])
+
+
+def motion(**changes) -> OptimalControlProblem:
+    """A point on a line: position [m], velocity [m/s], acceleration [m/s^2]."""
+    settings = {
+        "state": Bounds.free(2),
+        "control": Bounds(-3.0 * jnp.ones(1), 3.0 * jnp.ones(1)),
+        "initial_state": Bounds.exactly(jnp.zeros(2)),
+        "final_time": Bounds.exactly(4.0),
+        "state_names": ("position", "velocity"),
+        "control_names": ("acceleration",),
+        "units": {"position": "m", "velocity": "m/s", "acceleration": "m/s^2"},
+    }
+    return OptimalControlProblem(double_integrator, **(settings | changes))
+
+
+def constant_acceleration(
+    acceleration=2.0, velocity=0.0, duration=4.0, nodes=9
+) -> Trajectory:
+    fractions = jnp.linspace(0.0, 1.0, nodes)
+    t = duration * fractions
+    position = velocity * t + 0.5 * acceleration * t**2
+    return Trajectory(
+        fractions=fractions,
+        states=jnp.stack([position, velocity + acceleration * t], axis=1),
+        controls=jnp.full((nodes, 1), acceleration),
+        final_time=jnp.asarray(duration),
+    )
+
+
+def shifted(trajectory: Trajectory, node: int, state: int, by: float) -> Trajectory:
+    states = trajectory.states.at[node, state].add(by)
+    return eqx.tree_at(lambda trajectory: trajectory.states, trajectory, states)
+
+
+@pytest.mark.parametrize("hold", [None, ZeroOrderHold(), FirstOrderHold()])
+def test_an_exact_trajectory_passes(hold):
+    problem = motion(running_cost=lambda t, x, u: u @ u)
+    result = verify(problem, constant_acceleration(), hold=hold)
+    assert result.verified
+    assert result.violations == {}
+    assert result.interval_errors.shape == (8, 2)
+    np.testing.assert_allclose(result.interval_errors, 0, atol=1e-12)
+    np.testing.assert_allclose(result.flight_error, 0, atol=1e-12)
+    assert result.objective == pytest.approx(2.0**2 * 4.0, rel=1e-12)
+
+
+def test_uneven_nodes():
+    fractions = jnp.array([0.0, 0.03, 0.5, 0.9, 1.0])
+    t = 4.0 * fractions
+    states = jnp.stack([t**2, 2 * t], axis=1)
+    trajectory = Trajectory(fractions, states, jnp.full((5, 1), 2.0), jnp.asarray(4.0))
+    result = verify(motion(), trajectory)
+    np.testing.assert_allclose(result.interval_errors, 0, atol=1e-12)
+    assert verify(motion(), shifted(trajectory, 3, 0, 0.1)).worst_interval[0] in {2, 3}
+
+
+def test_a_shifted_node_is_found_with_its_amount():
+    result = verify(motion(), shifted(constant_acceleration(), 3, 0, 0.01))
+    assert not result.verified
+    assert result.violations == {}
+    expected = np.zeros((8, 2))
+    expected[2:4, 0] = 0.01  # arrives 0.01 short, and leaves 0.01 too far on
+    np.testing.assert_allclose(result.interval_errors, expected, atol=1e-12)
+    # The whole flight starts from the first node: the shift does not reach it.
+    np.testing.assert_allclose(result.flight_error, 0, atol=1e-12)
+    assert result.worst_interval == (2, 0)
+    assert "position 0.01 m off after interval 2, from 1.000 s" in str(result)
+
+
+def test_interval_tolerance_is_relative_to_the_motion():
+    # 16 m are covered: 1e-4 of it is 1.6 mm.
+    assert verify(motion(), shifted(constant_acceleration(), 3, 0, 1.5e-3)).verified
+    nearby = shifted(constant_acceleration(), 3, 0, 1.7e-3)
+    assert not verify(motion(), nearby).verified
+    assert verify(motion(), nearby, interval_tolerance=1e-3).verified
+
+
+def test_noise_in_a_resting_state_is_no_motion():
+    coasting = constant_acceleration(acceleration=0.0, velocity=1.0)
+    problem = motion(initial_state=Bounds.free(2))
+    assert verify(problem, shifted(coasting, 3, 1, 1e-9)).verified
+    assert not verify(problem, shifted(coasting, 3, 1, 1e-4)).verified
+
+
+def rising_and_falling() -> tuple[OptimalControlProblem, Trajectory]:
+    """Thrown up at 2 m/s under -1 m/s^2: the top, 2 m, lies at 2 s, between nodes."""
+    problem = motion(
+        initial_state=Bounds.exactly(jnp.array([0.0, 2.0])),
+        path_constraints={"ceiling": lambda t, x, u: x[:1] - 1.95},
+        units={"position": "m", "velocity": "m/s", "ceiling": "m"},
+    )
+    return problem, constant_acceleration(-1.0, 2.0, nodes=4)
+
+
+def test_a_breach_between_nodes_is_found_there_alone():
+    problem, trajectory = rising_and_falling()
+    # Nodes at 4/3 s and 8/3 s: 16/9 m, below the ceiling.
+    result = verify(problem, trajectory, samples=101)
+    assert result.verified
+    assert result.node_violations == {}
+    assert set(result.violations) == {"ceiling"}
+    ceiling = result.violations["ceiling"]
+    assert ceiling.value == pytest.approx(0.05, abs=1e-10)
+    assert ceiling.time == pytest.approx(2.0, abs=1e-10)
+    assert ceiling.unit == "m"
+    assert "ceiling broken by 0.05 m at 2.000 s" in str(result)
+    assert not verify(problem, trajectory, samples=101, between=True).verified
+
+
+def test_a_state_limit_between_nodes():
+    _, trajectory = rising_and_falling()
+    problem = motion(
+        initial_state=Bounds.exactly(jnp.array([0.0, 2.0])),
+        state=Bounds(jnp.array([-1.0, -5.0]), jnp.array([1.9, 5.0])),
+    )
+    result = verify(problem, trajectory, samples=11)
+    assert result.node_violations == {}
+    assert result.violations["position"].value == pytest.approx(0.1, abs=1e-10)
+    assert result.violations["position"].time == pytest.approx(2.0)
+
+
+def test_limits_at_nodes_are_named_with_unit_and_time():
+    problem = motion(
+        state=Bounds(jnp.array([-1.0, -10.0]), jnp.array([20.0, 6.0])),
+        control=Bounds(-jnp.ones(1), jnp.array([1.5])),
+        initial_state=Bounds.exactly(jnp.array([0.0, 0.5])),
+        final_state=Bounds(jnp.array([17.0, -jnp.inf]), jnp.array([18.0, jnp.inf])),
+        final_time=Bounds(1.0, 3.5),
+        path_constraints={
+            "walls": lambda t, x, u: jnp.stack([x[0] - 12.0, -x[0], x[1] - 7.0])
+        },
+        units={"walls": "m", "velocity": "m/s", "acceleration": "m/s^2"},
+    )
+    result = verify(problem, constant_acceleration())
+    assert not result.verified
+    found = {
+        name: (violation.value, violation.unit, violation.time)
+        for name, violation in result.node_violations.items()
+    }
+    assert found == {
+        "velocity": (pytest.approx(2.0), "m/s", 4.0),
+        "acceleration": (pytest.approx(0.5), "m/s^2", 0.0),
+        "walls[0]": (pytest.approx(4.0), "m", 4.0),
+        "walls[2]": (pytest.approx(1.0), "m", 4.0),
+        "initial velocity": (pytest.approx(0.5), "m/s", 0.0),
+        "final position": (pytest.approx(1.0), "", 4.0),
+        "final_time": (pytest.approx(0.5), "s", 4.0),
+    }
+    assert set(result.violations) == set(found)
+
+
+def test_a_breach_below_the_tolerance_is_none():
+    def limited(top):
+        return motion(state=Bounds(jnp.array([-4.0, -9.0]), jnp.array([top, 9.0])))
+
+    trajectory = constant_acceleration()
+    assert verify(limited(16.0 - 1.9e-3), trajectory).verified
+    assert not verify(limited(16.0 - 2.1e-3), trajectory).verified
+    assert verify(limited(16.0 - 2.1e-3), trajectory, tolerance=2e-4).verified
+
+
+def with_integrals(lower_of_time_squared: float) -> OptimalControlProblem:
+    """Integrals known by hand, their names not in alphabetical order."""
+    return motion(
+        running_cost=lambda t, x, u: jnp.exp(-t),
+        terminal_cost=lambda t_f, x_f: 10 * t_f + x_f[1],
+        integrals={
+            "time squared": Integral(
+                lambda t, x, u: t**2, Bounds.at_least(lower_of_time_squared)
+            ),
+            "distance": Integral(lambda t, x, u: x[1], Bounds(0.0, 20.0)),
+        },
+        units={"time squared": "s^3", "distance": "m"},
+    )
+
+
+def test_integrals_and_costs_of_known_functions():
+    result = verify(with_integrals(21.0), constant_acceleration(), samples=5)
+    assert result.integrals == {
+        "time squared": pytest.approx(64 / 3, rel=1e-10),
+        "distance": pytest.approx(16.0, rel=1e-10),
+    }
+    running = 1 - math.exp(-4.0)
+    assert result.objective == pytest.approx(running + 40.0 + 8.0, rel=1e-10)
+    assert result.verified
+    dense = result.dense
+    assert dense.times.shape == (8 * 5,)
+    np.testing.assert_allclose(dense.states[:, 0], dense.times**2, atol=1e-9)
+    np.testing.assert_allclose(dense.integrands["time squared"], dense.times**2)
+    np.testing.assert_allclose(
+        dense.accumulated["time squared"], dense.times**3 / 3, atol=1e-9
+    )
+
+
+def test_an_integral_short_of_its_limit():
+    # 99.99 percent of what is required will do.
+    assert verify(with_integrals(64 / 3 * 1.00009), constant_acceleration()).verified
+    result = verify(with_integrals(64 / 3 + 1.0), constant_acceleration())
+    assert not result.verified
+    short = result.node_violations["time squared"]
+    assert short.value == pytest.approx(1.0, abs=1e-8)
+    assert (short.unit, short.time) == ("s^3", 4.0)
+    assert result.violations == result.node_violations
+
+
+def test_the_holds_differ_as_they_should():
+    # u(t) = t as a ramp gives v = t^2 / 2; as a staircase on n intervals of width h,
+    # left ends only, it lacks h / 2 of every second.
+    fractions = jnp.linspace(0.0, 1.0, 5)
+    t = 2.0 * fractions
+    states = jnp.stack([t**3 / 6, t**2 / 2], axis=1)
+    ramp = Trajectory(fractions, states, t[:, None], jnp.asarray(2.0))
+    problem = motion(final_time=Bounds.exactly(2.0))
+    linear = verify(problem, ramp, hold=FirstOrderHold())
+    np.testing.assert_allclose(linear.interval_errors, 0, atol=1e-12)
+    held = verify(problem, ramp, hold=ZeroOrderHold())
+    np.testing.assert_allclose(held.interval_errors[:, 1], 0.5 * 0.5**2, atol=1e-12)
+    np.testing.assert_allclose(held.flight_error[1], 2.0 * 0.25, atol=1e-12)
+    assert linear.verified
+    assert not held.verified
+    # A held control is constant along its interval, a linear one is not.
+    assert np.unique(held.dense.controls).size == 4
+    np.testing.assert_allclose(linear.dense.controls[:, 0], linear.dense.times)
+
+
+def test_a_held_control_after_the_last_node_counts_for_nothing():
+    trajectory = constant_acceleration()
+    controls = trajectory.controls.at[-1].set(99.0)
+    changed = eqx.tree_at(lambda trajectory: trajectory.controls, trajectory, controls)
+    assert verify(motion(), changed).verified
+    result = verify(motion(), changed, hold=FirstOrderHold())
+    assert result.node_violations["acceleration"].value == pytest.approx(96.0)
+
+
+def test_time_dependent_dynamics_see_the_time():
+    def pushed(t, x, u):
+        return jnp.stack([jnp.cos(t)])
+
+    problem = OptimalControlProblem(
+        pushed,
+        state=Bounds.free(1),
+        control=Bounds.free(1),
+        final_time=Bounds.exactly(3.0),
+    )
+    fractions = jnp.linspace(0.0, 1.0, 7)
+    states = jnp.sin(3.0 * fractions)[:, None]
+    trajectory = Trajectory(fractions, states, jnp.zeros((7, 1)), jnp.asarray(3.0))
+    result = verify(problem, trajectory)
+    assert result.verified
+    np.testing.assert_allclose(result.interval_errors, 0, atol=1e-11)
+
+
+def test_an_unstable_flight_strays_but_its_intervals_hold():
+    def unstable(t, x, u):
+        return 40.0 * x + u
+
+    problem = OptimalControlProblem(
+        unstable,
+        state=Bounds(-jnp.ones(1), jnp.ones(1)),
+        control=Bounds.free(1),
+        final_time=Bounds.exactly(2.0),
+    )
+    fractions = jnp.linspace(0.0, 1.0, 101)
+    # x = exp(-t) needs u = -41 x; held, it is off a little, and 40/s amplifies that.
+    states = jnp.exp(-2.0 * fractions)[:, None]
+    step = 0.02
+    growth = math.exp(40.0 * step)
+    # The constant control that leads exactly from node to node.
+    held = 40.0 * (states[1:] - growth * states[:-1]) / (growth - 1)
+    controls = jnp.concatenate([held, held[-1:]]) * (1 + 1e-9)
+    trajectory = Trajectory(fractions, states, controls, jnp.asarray(2.0))
+    result = verify(problem, trajectory)
+    assert result.verified
+    assert result.flight_error is None
+    assert "strays from the nodes" in str(result)
+
+
+def falls_apart_after(limit):
+    def dynamics(t, x, u):
+        return jnp.stack([x[1], u[0] / jnp.where(x[0] < limit, 1.0, 0.0)])
+
+    return dynamics
+
+
+def test_non_finite_dynamics_are_reported_and_not_verified():
+    problem = motion()
+    problem = eqx.tree_at(lambda p: p.dynamics, problem, falls_apart_after(9.5))
+    # 9.5 m is passed after 3.08 s, in the seventh interval of half a second each.
+    result = verify(problem, constant_acceleration())
+    assert not result.verified
+    finite = np.all(np.isfinite(result.interval_errors), axis=1)
+    np.testing.assert_array_equal(finite, [True] * 6 + [False] * 2)
+    np.testing.assert_allclose(result.interval_errors[:6], 0, atol=1e-12)
+    assert result.flight_error is None
+    assert result.worst_interval[0] == 6
+    assert math.isnan(result.objective)
+    assert "nan" in str(result)
+
+
+def test_a_non_finite_path_constraint_is_an_infinite_breach():
+    problem = motion(path_constraints={"root": lambda t, x, u: jnp.sqrt(x[:1] - 1) - 9})
+    result = verify(problem, constant_acceleration())
+    assert not result.verified
+    assert result.node_violations["root"].value == math.inf
+    assert result.node_violations["root"].time == 0.0
+
+
+def test_a_path_constraint_named_like_a_state():
+    problem = motion(
+        state=Bounds(-99.0 * jnp.ones(2), jnp.array([10.0, 99.0])),
+        path_constraints={"position": lambda t, x, u: x[:1] - 12.0},
+    )
+    found = verify(problem, constant_acceleration()).node_violations
+    assert found["position"].value == pytest.approx(6.0)
+    assert found["path position"].value == pytest.approx(4.0)
+
+
+class UnknownHold(AbstractHold):
+    def control_nodes(self, nodes):
+        return nodes
+
+    def interpolate(self, left, right, fraction):
+        return right
+
+
+@pytest.mark.parametrize(
+    ("change", "settings", "message"),
+    [
+        (lambda t: t.states, {}, r"states has shape \(9, 3\): .* \(9, 2\)"),
+        (lambda t: t.controls, {}, r"controls has shape \(9, 2\): .* \(9, 1\)"),
+        (None, {"samples": 1}, "samples=1"),
+        (None, {"hold": UnknownHold()}, "hold=UnknownHold.*ZeroOrderHold"),
+    ],
+)
+def test_bad_input(change, settings, message):
+    trajectory = constant_acceleration()
+    if change is not None:
+        wide = jnp.pad(change(trajectory), ((0, 0), (0, 1)))
+        trajectory = eqx.tree_at(change, trajectory, wide)
+    with pytest.raises(ValueError, match=message):
+        verify(motion(), trajectory, **settings)
+
+
+@pytest.mark.parametrize("final_time", [0.0, -1.0, math.nan, math.inf])
+def test_bad_final_time(final_time):
+    trajectory = eqx.tree_at(
+        lambda t: t.final_time, constant_acceleration(), jnp.asarray(final_time)
+    )
+    with pytest.raises(ValueError, match="final_time="):
+        verify(motion(), trajectory)
+
+
+def test_a_new_parameter_value_compiles_nothing():
+    traces = []
+
+    class Drag(eqx.Module):
+        coefficient: jnp.ndarray
+
+        def __call__(self, t, x, u):
+            traces.append(None)
+            return jnp.stack([x[1], u[0] - self.coefficient * x[1]])
+
+    for value in (0.0, 0.5, 1.0):
+        problem = motion()
+        drag = Drag(jnp.asarray(value))
+        problem = eqx.tree_at(lambda p: p.dynamics, problem, drag)
+        result = verify(problem, constant_acceleration())
+        assert result.verified == (value == 0.0)
+        if value == 0.0:
+            first = len(traces)
+    assert len(traces) == first
+
+
+def test_it_shares_no_code_with_the_discretization():
+    forbidden = {"_discretization", "_transcription", "_hold"}
+    package = Path(inspect.getfile(Verification)).parent
+    seen, waiting = set(), ["verify"]
+    while waiting:
+        name = waiting.pop()
+        seen.add(name)
+        tree = ast.parse((package / f"{name}.py").read_text())
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ImportFrom) and node.level:
+                found = {node.module} if node.module else {a.name for a in node.names}
+                waiting.extend(found - seen)
+    assert seen.isdisjoint(forbidden)
