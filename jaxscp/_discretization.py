@@ -37,15 +37,16 @@ class Discretization(eqx.Module):
 
     - `hold`: [`ZeroOrderHold`][] or [`FirstOrderHold`][].
     - `quadrature`: [`Quadrature`][] of costs and integral constraints.
-    - `tolerance`: local error allowed in one interval, relative to each variable's
-        scale. The number of Runge-Kutta substeps an interval, the same for all, grows
-        until step doubling estimates an error below it.
+    - `tolerance`: error allowed in the states over one interval, and in the integrals
+        over all of them, relative to each quantity's scale. The number of Runge-Kutta
+        substeps, the same in all intervals, follows the error that comparing with half
+        as many tells.
     - `min_substeps`, `max_substeps`: limits of that number.
     """
 
     hold: AbstractHold = ZeroOrderHold()
     quadrature: Quadrature = eqx.field(static=True, default=Quadrature.FLOW)
-    tolerance: float = eqx.field(static=True, default=1e-6)
+    tolerance: float = eqx.field(static=True, default=3e-5)
     min_substeps: int = eqx.field(static=True, default=2)
     max_substeps: int = eqx.field(static=True, default=256)
 

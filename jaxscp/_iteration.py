@@ -201,17 +201,20 @@ def try_step(
 ) -> Trial:
     """Evaluate the discrete problem where a subproblem's step leads."""
     variables = scaling.move(iterate.variables, solution.step)
-    # Once as the method counts, once with the steps halved: their difference is the
-    # error.
-    substeps = iterate.substeps * jnp.array([1, 2])
-    both = jax.vmap(transcription.evaluate, in_axes=(None, 0))(variables, substeps)
-    residuals, finer = (
+    # Once with the steps in force and once with half as many: as the method is of order
+    # four, their difference tells the error.
+    fine, coarse = iterate.substeps, (iterate.substeps + 1) // 2
+    both = jax.vmap(transcription.evaluate, in_axes=(None, 0))(
+        variables, jnp.stack([fine, coarse])
+    )
+    residuals, rough = (
         scaling.residuals(jax.tree.map(lambda leaf: leaf[row], both)) for row in (0, 1)
     )
-    error = jnp.maximum(
-        jnp.max(jnp.abs(residuals.defects - finer.defects)),
-        jnp.max(jnp.abs(residuals.increments - finer.increments)),
+    difference = jnp.maximum(
+        jnp.max(jnp.abs(residuals.defects - rough.defects)),
+        jnp.max(jnp.sum(jnp.abs(residuals.increments - rough.increments), axis=0)),
     )
+    error = difference / ((fine / coarse) ** 4 - 1.0)
     limits = integral_limits(transcription, scaling)
     cost = penalized_cost(residuals, limits, weights)
     # A step into a singularity is a bad step, not a broken solve.
@@ -241,7 +244,7 @@ def judge(
     noise = 1e-13 * jnp.abs(reference)
     meaningful = predicted > noise
     ratio = jnp.where(meaningful, actual / jnp.where(meaningful, predicted, 1.0), 1.0)
-    accepted = (ratio >= accept_ratio) & trial.solution.report.solved
+    accepted = (ratio >= accept_ratio) & trial.solution.effort.solved
     return Judgement(reference, predicted, actual, ratio, accepted)
 
 
@@ -269,7 +272,7 @@ def advance(
     iterate = tree_where(accepted, moved, old)
     limits = integral_limits(transcription, state.scaling)
     broken = violations(trial.residuals, limits)
-    report = trial.solution.report
+    effort = trial.solution.effort
     history = state.history.write(
         state.records,
         objective=trial.residuals.objective * state.scaling.objective,
@@ -287,9 +290,9 @@ def advance(
         "solution": trial.solution,
         "history": history,
         "records": state.records + 1,
-        "subproblems": state.subproblems + report.solves,
-        "qp_iterations": state.qp_iterations + report.iterations,
-        "qp_seconds": state.qp_seconds + report.seconds,
+        "subproblems": state.subproblems + effort.solves,
+        "qp_iterations": state.qp_iterations + effort.iterations,
+        "qp_seconds": state.qp_seconds + effort.seconds,
     }
     return dataclasses.replace(state, **(fields | changed))
 

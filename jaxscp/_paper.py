@@ -5,6 +5,7 @@ import dataclasses
 import equinox as eqx
 import jax.numpy as jnp
 
+from ._assembly import Prices
 from ._iteration import (
     SCPState,
     advance,
@@ -14,10 +15,11 @@ from ._iteration import (
     start,
     try_step,
 )
+from ._layout import Structure
 from ._model import Model, PerConstraint, convexified, integral_limits, penalized_cost
 from ._qp import PIQP
 from ._scp import AbstractSCP
-from ._subproblem import Layout, Prices, SubproblemSolution, assemble, extract
+from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
 from ._transcription import Transcription, Variables
 
 
@@ -60,7 +62,7 @@ class PaperSCP(AbstractSCP):
     alpha: float = eqx.field(static=True, default=2.0)
     feasibility_tolerance: float = eqx.field(static=True, default=1e-4)
     min_radius: float = eqx.field(static=True, default=1e-10)
-    qp: PIQP = PIQP(multistage=False)
+    qp: PIQP = PIQP()
 
     def __check_init__(self):
         ordered = 0 < self.rho_0 < self.rho_1 < self.rho_2 < 1
@@ -73,11 +75,10 @@ class PaperSCP(AbstractSCP):
             raise ValueError(f"alpha={self.alpha}: need alpha > 1.")
 
     def init(self, transcription: Transcription, guess: Variables) -> SCPState:
-        layout = Layout(transcription, relaxed=True, ball=True)
         return start(
             transcription,
             guess,
-            SubproblemSolution.none(layout),
+            SubproblemSolution.none(self._structure(transcription)),
             radius=self.initial_radius,
             ceiling=self.penalty,
             # Rejected steps are recorded too.
@@ -139,7 +140,6 @@ class PaperSCP(AbstractSCP):
         model: Model,
         weights: PerConstraint,
     ) -> SubproblemSolution:
-        layout = Layout(transcription, relaxed=True, ball=True)
         prices = Prices(
             proximal=jnp.zeros(()),
             virtual_control=weights.dynamics,
@@ -148,5 +148,9 @@ class PaperSCP(AbstractSCP):
             radius=state.radius,
         )
         reference = state.iterate.variables
-        qp = assemble(layout, transcription, state.scaling, reference, model, prices)
-        return extract(layout, transcription, self.qp.solve(qp))
+        limits = step_limits(transcription, state.scaling, reference)
+        structure = self._structure(transcription)
+        return solve_subproblem(structure, self.qp, model, prices, limits)
+
+    def _structure(self, transcription: Transcription) -> Structure:
+        return Structure.of(transcription, relaxed=True, ball=True)

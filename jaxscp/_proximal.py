@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ._assembly import Prices
 from ._iteration import (
     Judgement,
     SCPState,
@@ -19,6 +20,7 @@ from ._iteration import (
     tree_where,
     try_step,
 )
+from ._layout import Structure
 from ._model import (
     Model,
     PerConstraint,
@@ -29,7 +31,7 @@ from ._model import (
 )
 from ._qp import PIQP
 from ._scp import AbstractSCP
-from ._subproblem import Layout, Prices, SubproblemSolution, assemble, extract
+from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
 from ._transcription import Residuals, Transcription, Variables
 from ._types import Array, Scalar
 
@@ -58,8 +60,8 @@ class ProximalSCP(AbstractSCP):
     """
 
     max_iterations: int = eqx.field(static=True, default=100)
-    tolerance: float = eqx.field(static=True, default=1e-5)
-    feasibility_tolerance: float = eqx.field(static=True, default=1e-6)
+    tolerance: float = eqx.field(static=True, default=1e-4)
+    feasibility_tolerance: float = eqx.field(static=True, default=1e-5)
     initial_weight: float = eqx.field(static=True, default=3.0)
     curvature: bool = eqx.field(static=True, default=True)
     correction: bool = eqx.field(static=True, default=True)
@@ -80,7 +82,7 @@ class ProximalSCP(AbstractSCP):
         return start(
             transcription,
             guess,
-            SubproblemSolution.none(Layout(transcription)),
+            SubproblemSolution.none(Structure.of(transcription)),
             radius=1.0 / self.initial_weight,
             ceiling=self.initial_ceiling,
             records=self.max_iterations,
@@ -113,7 +115,7 @@ class ProximalSCP(AbstractSCP):
             return judge(reference, predicted, search.best, self.accept_ratio)
 
         def again(search: _Search) -> Array:
-            solved = search.best.solution.report.solved
+            solved = search.best.solution.effort.solved
             poor = judged(search).ratio < self.correction_ratio
             correct = self.correction & (search.passes == 1) & solved & poor
             return (search.passes == 0) | correct
@@ -126,18 +128,17 @@ class ProximalSCP(AbstractSCP):
             weights = tree_where(first, followed, search.weights)
             expected = tree_where(first, model.predict(solution.step), search.expected)
             trial = try_step(transcription, scaling, state.iterate, solution, weights)
-            better = first | (solution.report.solved & (trial.cost < best.cost))
+            better = first | (solution.effort.solved & (trial.cost < best.cost))
             # Multipliers stay those of the uncorrected subproblem: penalty weights and
             # the convergence test speak of that one.
             kept = tree_where(first, solution, best.solution)
-            report = kept.report.after(best.solution.report)
-            report = tree_where(
-                first, kept.report, solution.report.after(best.solution.report)
-            )
+            total = solution.effort.after(best.solution.effort)
             taken = dataclasses.replace(
                 kept,
                 step=tree_where(better, solution.step, kept.step),
-                report=dataclasses.replace(report, solved=kept.report.solved),
+                effort=dataclasses.replace(
+                    tree_where(first, solution.effort, total), solved=kept.effort.solved
+                ),
             )
             seen = trial.residuals
             missed = (seen.increments - expected.increments).at[:, -1].set(0.0)
@@ -179,40 +180,18 @@ class ProximalSCP(AbstractSCP):
     def _solve(
         self, transcription: Transcription, state: SCPState, model: Model
     ) -> SubproblemSolution:
-        """Without virtual control; with it where the linearized dynamics need it."""
-        exact = self._attempt(transcription, state, model)
-
-        def relaxed():
-            return self._attempt(transcription, state, model, relaxed=True)
-
-        solution = jax.lax.cond(exact.report.solved, lambda: exact, relaxed)
-        again = solution.report.after(exact.report)
-        report = tree_where(exact.report.solved, exact.report, again)
-        return dataclasses.replace(solution, report=report)
-
-    def _attempt(
-        self,
-        transcription: Transcription,
-        state: SCPState,
-        model: Model,
-        *,
-        relaxed: bool = False,
-    ) -> SubproblemSolution:
-        layout = Layout(transcription, relaxed=relaxed)
+        scaling, reference = state.scaling, state.iterate.variables
         residuals, ceiling = model.residuals, state.ceiling
         prices = Prices(
             proximal=1.0 / state.radius,
             virtual_control=jnp.full_like(residuals.defects, ceiling),
             path=jnp.full_like(residuals.path, ceiling),
-            integral=jnp.full(layout.totals.shape[1], ceiling),
+            integral=jnp.full_like(residuals.totals, ceiling),
             radius=jnp.zeros(()),
         )
-        qp = assemble(
-            layout, transcription, state.scaling, state.iterate.variables, model, prices
-        )
-        # Virtual control makes the stages too wide to factorize by stages.
-        solver = dataclasses.replace(self.qp, multistage=not relaxed)
-        return extract(layout, transcription, solver.solve(qp))
+        limits = step_limits(transcription, scaling, reference)
+        structure = Structure.of(transcription)
+        return solve_subproblem(structure, self.qp, model, prices, limits)
 
     def _advance(
         self,

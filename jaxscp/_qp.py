@@ -1,120 +1,84 @@
-"""Quadratic programs of a fixed sparsity pattern, and PIQP, which solves them."""
+"""Quadratic programs of a fixed sparsity pattern, and PIQP, which solves them.
+
+Everything here runs on the host, in NumPy; `_subproblem` calls it from JAX.
+"""
 
 import dataclasses
-import functools
-import threading
-from collections import OrderedDict
 
 import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
 import piqp
 from scipy.sparse import csc_matrix
-
-from ._types import Array, Float
 
 
 class SparsePattern:
     """Where the nonzeros of one matrix stand, in compressed columns.
 
-    Built once from row and column indices in any order; [`SparsePattern.order`][] says
-    in which order their values belong. Hashable, so that it can be static in `jax.jit`.
+    Built from row and column indices in any order; `fill` takes values in that order.
     """
 
     def __init__(self, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]):
-        order = np.lexsort((rows, columns))
-        rows, columns = rows[order], columns[order]
-        if rows.size and np.any((np.diff(columns) == 0) & (np.diff(rows) == 0)):
+        self._order = np.lexsort((rows, columns))
+        rows, columns = rows[self._order], columns[self._order]
+        if np.any((np.diff(columns) == 0) & (np.diff(rows) == 0)):
             raise ValueError("SparsePattern: an entry appears twice.")
-        self.order = order
-        self.indices = rows.astype(np.int32)
-        self.indptr = np.searchsorted(columns, np.arange(shape[1] + 1)).astype(np.int32)
-        self.shape = shape
-        self._key = (shape, self.indices.tobytes(), self.indptr.tobytes())
-        self._hash = hash(self._key)
+        starts = np.searchsorted(columns, np.arange(shape[1] + 1))
+        # A nonzero everywhere: zeros of the first values are not zeros of the structure.
+        self.matrix = csc_matrix((np.ones(rows.size), rows, starts), shape=shape)
 
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, SparsePattern) and self._key == other._key
-
-    def matrix(self) -> csc_matrix:
-        """A matrix of this pattern; its `data` is filled in later."""
-        # A nonzero everywhere, so that no entry is dropped as a zero of the structure.
-        data = np.ones(self.indices.size)
-        return csc_matrix((data, self.indices, self.indptr), shape=self.shape)
+    def fill(self, values: np.ndarray) -> csc_matrix:
+        """The matrix with these values; the same object every time."""
+        np.take(values, self._order, out=self.matrix.data)
+        return self.matrix
 
 
-class QP(eqx.Module):
+@dataclasses.dataclass
+class QP:
     """minimize 1/2 z'Pz + c'z subject to Az = b, Gz <= h, lower <= z <= upper.
 
-    Matrices are value vectors in the order of their static patterns; `P` is given by its
-    upper triangle.
+    `P` is given by its upper triangle.
     """
 
-    P: Float[Array, " P_nonzeros"]
-    c: Float[Array, " variables"]
-    A: Float[Array, " A_nonzeros"]
-    b: Float[Array, " equalities"]
-    G: Float[Array, " G_nonzeros"]
-    h: Float[Array, " inequalities"]
-    lower: Float[Array, " variables"]
-    upper: Float[Array, " variables"]
-    patterns: tuple[SparsePattern, SparsePattern, SparsePattern] = eqx.field(static=True)
+    P: csc_matrix
+    c: np.ndarray
+    A: csc_matrix
+    b: np.ndarray
+    G: csc_matrix
+    h: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all numbers but the limits are finite."""
+        matrices = (self.P.data, self.A.data, self.G.data)
+        return all(np.isfinite(part).all() for part in (*matrices, self.c, self.b, self.h))
 
 
-class QPReport(eqx.Module):
-    """How the solver fared.
-
-    - `solved`, `infeasible`: truth values.
-    - `primal_residual`, `dual_residual`: as the solver reports them.
-    - `solves`: QPs solved, `iterations`: interior-point iterations, `seconds`: time in
-        the solver.
-    """
-
-    solved: Array
-    infeasible: Array
-    primal_residual: Array
-    dual_residual: Array
-    solves: Array
-    iterations: Array
-    seconds: Array
-
-    @classmethod
-    def none(cls) -> "QPReport":
-        """Of a solve that has not happened."""
-        flags = jnp.array(True), jnp.array(False)
-        residuals, counts = (jnp.zeros(()),) * 2, (jnp.zeros((), int),) * 2
-        return cls(*flags, *residuals, *counts, jnp.zeros(()))
-
-    def after(self, earlier: "QPReport") -> "QPReport":
-        """This outcome, with an earlier solve's effort added."""
-        return dataclasses.replace(
-            self,
-            solves=earlier.solves + self.solves,
-            iterations=earlier.iterations + self.iterations,
-            seconds=earlier.seconds + self.seconds,
-        )
-
-
-class QPSolution(eqx.Module):
-    """Primal and dual solution of a [`QP`][].
+@dataclasses.dataclass
+class QPSolution:
+    """Primal and dual solution of a [`QP`][], and how the solver fared.
 
     - `z`: variables. `y`, `w`: multipliers of Az = b and of Gz <= h.
     - `bound`: multipliers of the limits, upper minus lower.
+    - `solved`, `infeasible`: outcome. `primal_residual`, `dual_residual`: as reported.
+    - `iterations`: interior-point iterations. `seconds`: time in the solver.
     """
 
-    z: Float[Array, " variables"]
-    y: Float[Array, " equalities"]
-    w: Float[Array, " inequalities"]
-    bound: Float[Array, " variables"]
-    report: QPReport
+    z: np.ndarray
+    y: np.ndarray
+    w: np.ndarray
+    bound: np.ndarray
+    solved: bool
+    infeasible: bool
+    primal_residual: float
+    dual_residual: float
+    iterations: int
+    seconds: float
 
 
 class PIQP(eqx.Module):
-    """The proximal interior-point solver PIQP, called on the host.
+    """Settings of PIQP, the proximal interior-point solver of the subproblems.
 
     Schwan et al., "PIQP: A Proximal Interior-Point Quadratic Programming Solver", 2023.
 
@@ -122,116 +86,64 @@ class PIQP(eqx.Module):
 
     - `tolerance`: absolute tolerance on residuals and duality gap.
     - `max_iterations`: interior-point iterations allowed.
-    - `multistage`: factorize by stages (fast where the pattern is a chain of blocks)
-        rather than as a general sparse matrix.
     """
 
-    tolerance: float = eqx.field(static=True, default=1e-9)
+    tolerance: float = eqx.field(static=True, default=1e-8)
     max_iterations: int = eqx.field(static=True, default=100)
-    multistage: bool = eqx.field(static=True, default=True)
-
-    def solve(self, qp: QP) -> QPSolution:
-        """Solve inside or outside `jax.jit`; the structure is set up once and reused."""
-        data = (qp.P, qp.c, qp.A, qp.b, qp.G, qp.h, qp.lower, qp.upper)
-        vector = jax.ShapeDtypeStruct
-        (variables,), (equalities,), (inequalities,) = qp.c.shape, qp.b.shape, qp.h.shape
-        shapes = tuple(
-            vector((size,), jnp.float64)
-            for size in (variables, equalities, inequalities, variables)
-        )
-        z, y, w, bound, report = jax.pure_callback(
-            functools.partial(_solve_on_host, self, qp.patterns),
-            (*shapes, vector((6,), jnp.float64)),
-            data,
-            vmap_method="sequential",
-        )
-        solved, infeasible, iterations, primal, dual, seconds = report
-        report = QPReport(
-            solved=solved > 0,
-            infeasible=infeasible > 0,
-            primal_residual=primal,
-            dual_residual=dual,
-            solves=jnp.ones((), int),
-            iterations=iterations.astype(int),
-            seconds=seconds,
-        )
-        return QPSolution(z, y, w, bound, report)
 
 
-class _Workspace:
-    """A PIQP instance and the matrices it was set up with."""
+class Workspace:
+    """A PIQP instance for one sparsity pattern: set up once, then only updated.
 
-    def __init__(self, settings: PIQP, patterns):
-        self.lock = threading.Lock()
-        self.matrices = [pattern.matrix() for pattern in patterns]
-        self.ready = False
-        self.solver = piqp.SparseSolver()
-        options = self.solver.settings
+    The symbolic factorization of the setup costs as much as a solve.
+
+    **Arguments:**
+
+    - `multistage`: factorize by stages, fast where the pattern is a chain of narrow
+        blocks, rather than as a general sparse matrix.
+    """
+
+    def __init__(self, settings: PIQP, *, multistage: bool):
+        self._ready = False
+        self._solver = piqp.SparseSolver()
+        options, backends = self._solver.settings, piqp.KKTSolver
         options.kkt_solver = (
-            piqp.KKTSolver.sparse_multistage
-            if settings.multistage
-            else piqp.KKTSolver.sparse_ldlt
+            backends.sparse_multistage if multistage else backends.sparse_ldlt
         )
         options.eps_abs = options.eps_duality_gap_abs = settings.tolerance
         options.max_iter = settings.max_iterations
         # Trust regions bound every subproblem: dual infeasibility can only be a false
         # alarm, which wide ranges of multipliers do set off.
         options.eps_dual_inf = 1e-15
+        if multistage:
+            # The blocks come scaled; equilibrating them again takes a fifth of the time.
+            options.preconditioner_iter = 0
         options.compute_timings = True
 
-    def solve(self, P, c, A, b, G, h, lower, upper):
-        for matrix, values in zip(self.matrices, (P, A, G), strict=True):
-            matrix.data[:] = values
-        P, A, G = self.matrices
-        arguments = (P, c, A, b, G, None, h, lower, upper)
-        if self.ready:
-            self.solver.update(*arguments)
-        else:
-            self.solver.setup(*arguments)
-            self.ready = True
-        self.solver.solve()
-        return self.solver.result
-
-
-# One workspace a structure: PIQP's symbolic factorization costs as much as a solve.
-_WORKSPACES: OrderedDict[tuple, _Workspace] = OrderedDict()
-_WORKSPACES_LOCK = threading.Lock()
-_MOST_WORKSPACES = 16
-
-
-def _workspace(settings: PIQP, patterns) -> _Workspace:
-    key = (settings, patterns)
-    with _WORKSPACES_LOCK:
-        if key not in _WORKSPACES:
-            _WORKSPACES[key] = _Workspace(settings, patterns)
-        _WORKSPACES.move_to_end(key)
-        while len(_WORKSPACES) > _MOST_WORKSPACES:
-            _WORKSPACES.popitem(last=False)
-        return _WORKSPACES[key]
-
-
-def _solve_on_host(settings: PIQP, patterns, data):
-    P, c, A, b, G, h, lower, upper = (np.asarray(part) for part in data)
-    finite = all(np.isfinite(part).all() for part in (P, c, A, b, G))
-    if not finite:
-        # PIQP would loop on NaN; the caller reads `solved` and the numbers say why.
-        sizes = (c.size, b.size, h.size, c.size)
-        report = np.array([0.0, 0.0, 0.0, np.nan, np.nan, 0.0])
-        return (*(np.full(size, np.nan) for size in sizes), report)
-    workspace = _workspace(settings, patterns)
-    with workspace.lock:
-        result = workspace.solve(P, c, A, b, G, h, lower, upper)
-        info = result.info
-        report = np.array(
-            [
-                info.status == piqp.PIQP_SOLVED,
-                info.status == piqp.PIQP_PRIMAL_INFEASIBLE,
-                info.iter,
-                info.primal_res,
-                info.dual_res,
-                info.run_time,
-            ],
-            dtype=float,
+    def solve(self, qp: QP) -> QPSolution:
+        """Solve one QP of this workspace's pattern."""
+        if not qp.is_finite:
+            # PIQP would iterate on NaN; the caller finds out why they are there.
+            return _unsolved(qp)
+        change = self._solver.update if self._ready else self._solver.setup
+        change(qp.P, qp.c, qp.A, qp.b, qp.G, None, qp.h, qp.lower, qp.upper)
+        self._ready = True
+        self._solver.solve()
+        result, info = self._solver.result, self._solver.result.info
+        return QPSolution(
+            z=result.x.copy(),
+            y=result.y.copy(),
+            w=result.z_u.copy(),
+            bound=result.z_bu - result.z_bl,
+            solved=info.status == piqp.PIQP_SOLVED,
+            infeasible=info.status == piqp.PIQP_PRIMAL_INFEASIBLE,
+            primal_residual=info.primal_res,
+            dual_residual=info.dual_res,
+            iterations=info.iter,
+            seconds=info.run_time,
         )
-        bound = result.z_bu - result.z_bl
-        return result.x.copy(), result.y.copy(), result.z_u.copy(), bound, report
+
+
+def _unsolved(qp: QP) -> QPSolution:
+    z, y, w = (np.full(part.size, np.nan) for part in (qp.c, qp.b, qp.h))
+    return QPSolution(z, y, w, z, False, False, np.nan, np.nan, 0, 0.0)

@@ -25,8 +25,10 @@ from ._problem import OptimalControlProblem
 RELATIVE_TOLERANCE = 1e-10
 RANGE_TOLERANCE = 1e-12
 # Steps after which an interval, and a whole flight, counts as impossible to follow.
-INTERVAL_STEPS = 10_000
-FLIGHT_STEPS = 20_000
+INTERVAL_STEPS = 2_000
+FLIGHT_STEPS = 10_000
+# Of an interval, to begin with.
+FIRST_STEP = 0.1
 
 # Of times (k,), states (k, n) and controls (k, m), shape (k, w).
 Rates: TypeAlias = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
@@ -129,16 +131,17 @@ def along_intervals(
     - `fractions`: where to sample an interval, rising from 0 to 1.
     """
     every = slice(0, nodes.intervals)
-    together = _follow(rates, nodes, every, nodes.states[:-1], ranges, fractions)
-    if together is not None:
-        return together[0]
-    shape = (fractions.size, nodes.intervals, ranges.size)
-    values = np.full(shape, np.nan)
+    values, *_ = _follow(rates, nodes, every, nodes.states[:-1], ranges, fractions)
+    if np.all(np.isfinite(values)):
+        return values
+    steps = 0
     for k in range(nodes.intervals):
-        start = nodes.states[k : k + 1]
-        alone = _follow(rates, nodes, slice(k, k + 1), start, ranges, fractions)
-        if alone is not None:
-            values[:, k : k + 1] = alone[0]
+        alone = slice(k, k + 1)
+        if steps < FLIGHT_STEPS:
+            start = nodes.states[alone]
+            run = _follow(rates, nodes, alone, start, ranges, fractions)
+            values[:, alone], _, taken = run
+            steps += taken
     return values
 
 
@@ -155,16 +158,14 @@ def whole_flight(
     """
     end = np.ones(1)
     state = nodes.states[:1]
-    steps, first_step = 0, None
+    steps, step = 0, FIRST_STEP
     for k in range(nodes.intervals):
-        run = _follow(rates, nodes, slice(k, k + 1), state, ranges, end, first_step)
-        if run is None:
-            return None
-        values, first_step, taken = run
+        alone = slice(k, k + 1)
+        values, step, taken = _follow(rates, nodes, alone, state, ranges, end, step)
         state = values[-1, :, : state.shape[1]]
         steps += taken
         strays = np.any(np.abs(state[0] - nodes.states[k + 1]) > limit)
-        if strays or steps > FLIGHT_STEPS:
+        if strays or steps > FLIGHT_STEPS or not np.all(np.isfinite(state)):
             return None
     return state[0]
 
@@ -176,9 +177,12 @@ def _follow(
     start: Float[np.ndarray, "I n"],
     ranges: Float[np.ndarray, " w"],
     fractions: Float[np.ndarray, " S"],
-    first_step: float | None = None,
-) -> tuple[Float[np.ndarray, "S I w"], float, int] | None:
-    """Samples along some intervals, the longest step and the number of steps."""
+    first_step: float = FIRST_STEP,
+) -> tuple[Float[np.ndarray, "S I w"], float, int]:
+    """Samples along some intervals, the longest step and the number of steps.
+
+    All samples are NaN if one of the intervals cannot be followed to its end.
+    """
     starts = nodes.times[:-1][intervals]
     widths = np.diff(nodes.times)[intervals]
     count, size = start.shape
@@ -193,10 +197,9 @@ def _follow(
     initial = np.zeros(shape)
     initial[:, :size] = start
     scales = np.tile(ranges, count)
-    run = _integrate(slope, initial.ravel(), scales, fractions, first_step)
-    if run is None:
-        return None
-    samples, longest, steps = run
+    samples, longest, steps = _integrate(
+        slope, initial.ravel(), scales, fractions, first_step
+    )
     return samples.reshape(fractions.size, *shape), longest, steps
 
 
@@ -205,9 +208,12 @@ def _integrate(
     initial: Float[np.ndarray, " w"],
     ranges: Float[np.ndarray, " w"],
     fractions: Float[np.ndarray, " S"],
-    first_step: float | None,
-) -> tuple[Float[np.ndarray, "S w"], float, int] | None:
-    """DOP853 from 0 to 1, sampled at `fractions`; `None` if it does not get there."""
+    first_step: float,
+) -> tuple[Float[np.ndarray, "S w"], float, int]:
+    """DOP853 from 0 to 1, sampled at `fractions`; NaN if it does not get there."""
+    samples = np.full((fractions.size, initial.size), np.nan)
+    if not np.all(np.isfinite(initial)):
+        return samples, FIRST_STEP, 0
     # SciPy bounds the root mean square over all entries; dividing by the root of their
     # number bounds each entry.
     share = math.sqrt(initial.size)
@@ -218,23 +224,21 @@ def _integrate(
         1.0,
         # SciPy's own guess of it would never end on a non-finite rate; steps that meet
         # one are rejected and shortened until DOP853 gives up.
-        first_step=first_step or 0.1,
+        first_step=first_step,
         rtol=RELATIVE_TOLERANCE / share,
         atol=RANGE_TOLERANCE * ranges / share,
     )
-    samples = np.empty((fractions.size, initial.size))
     samples[fractions <= 0.0] = initial
     steps, longest = 0, 0.0
-    while solver.status == "running":
+    while solver.status == "running" and steps < INTERVAL_STEPS:
         solver.step()
         steps += 1
-        if solver.status == "failed" or steps > INTERVAL_STEPS:
-            return None
-        longest = max(longest, solver.t - solver.t_old)
-        inside = (
-            (solver.t_old < fractions) & (fractions <= solver.t) & (fractions < 1.0)
-        )
+        longest = max(longest, solver.t - (solver.t_old or 0.0))
+        inside = (solver.t_old or 0.0) < fractions
+        inside &= (fractions <= solver.t) & (fractions < 1.0)
         if inside.any():
             samples[inside] = solver.dense_output()(fractions[inside]).T
     samples[fractions >= 1.0] = solver.y
-    return (samples, longest, steps) if np.all(np.isfinite(samples)) else None
+    if solver.status != "finished" or not np.all(np.isfinite(samples)):
+        samples[:] = np.nan
+    return samples, longest or FIRST_STEP, steps

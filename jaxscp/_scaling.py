@@ -118,7 +118,7 @@ def automatic_scaling(
 
 
 def _scale(
-    bounds: Bounds, values: Float[Array, "k *shape"], absolute: bool = False
+    bounds: Bounds, values: Float[Array, "values *shape"], absolute: bool = False
 ) -> Float[Array, "*shape"]:
     given = jnp.full(bounds.shape, jnp.nan) if bounds.scale is None else bounds.scale
     limits = 0.5 * (bounds.upper - bounds.lower)

@@ -40,7 +40,7 @@ class AbstractSCP(eqx.Module):
         dynamics = jnp.max(broken.dynamics)
         buffer = largest_buffer(broken)
         feasible = jnp.maximum(dynamics, buffer) <= self.feasibility_tolerance
-        report = state.solution.report
+        effort = state.solution.effort
         status = Status.iteration_limit
         done = state.iterations >= self.max_iterations
         for happened, name in (
@@ -54,8 +54,8 @@ class AbstractSCP(eqx.Module):
                 Status.virtual_control_remains,
             ),
             (state.stationary & feasible, Status.converged),
-            (~report.solved, Status.subproblem_failed),
-            (~report.solved & report.infeasible, Status.subproblem_infeasible),
+            (~effort.solved, Status.subproblem_failed),
+            (~effort.solved & effort.infeasible, Status.subproblem_infeasible),
             (~state.finite, Status.non_finite),
         ):
             status = Status.where(happened, name, status)

@@ -319,6 +319,16 @@ def test_non_finite_dynamics_are_reported_and_not_verified():
     assert "nan" in str(result)
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_non_finite_node_is_not_verified(value):
+    result = verify(motion(), shifted(constant_acceleration(), 3, 0, value))
+    assert not result.verified
+    finite = np.all(np.isfinite(result.interval_errors), axis=1)
+    np.testing.assert_array_equal(finite, [True] * 2 + [False] * 2 + [True] * 4)
+    # Where it is, but for the whole flight, which never comes by.
+    assert result.worst_interval[0] == 2
+
+
 def test_a_non_finite_path_constraint_is_an_infinite_breach():
     problem = motion(path_constraints={"root": lambda t, x, u: jnp.sqrt(x[:1] - 1) - 9})
     result = verify(problem, constant_acceleration())

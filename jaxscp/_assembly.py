@@ -1,0 +1,268 @@
+"""The QP of a convex subproblem, on the host.
+
+JAX hands over scaled blocks; placing their numbers into a sparse matrix costs less here
+than it would take to compile it.
+"""
+
+import functools
+import threading
+
+import equinox as eqx
+import numpy as np
+
+from ._discretization import Jacobian
+from ._layout import Entries, Layout, Structure
+from ._model import Model
+from ._qp import PIQP, QP, QPSolution, SparsePattern, Workspace
+from ._transcription import Variables
+from ._types import Array, Float, Scalar
+
+
+class Limits(eqx.Module):
+    """Scaled limits of the step and of the integrals; equal where they are fixed."""
+
+    state: tuple[Float[Array, "N n"], Float[Array, "N n"]]
+    control: tuple[Float[Array, "M m"], Float[Array, "M m"]]
+    time: tuple[Float[Array, "1"], Float[Array, "1"]]
+    integral: tuple[Float[Array, " q"], Float[Array, " q"]]
+
+
+class Prices(eqx.Module):
+    """What a subproblem charges beyond the model's cost, all scaled.
+
+    - `proximal`: weight of half the squared step, the soft trust region.
+    - `virtual_control`: cost of virtual control, where there is any.
+    - `path`, `integral`: cost of virtual buffers.
+    - `radius`: of the hard trust region, where there is one.
+    """
+
+    proximal: Scalar
+    virtual_control: Float[Array, "N-1 n"]
+    path: Float[Array, "N p"]
+    integral: Float[Array, " q"]
+    radius: Scalar
+
+
+class SubproblemData(eqx.Module):
+    """What travels to the host."""
+
+    model: Model
+    gradient: Variables
+    prices: Prices
+    limits: Limits
+
+
+@functools.lru_cache(maxsize=32)
+def subproblem_solver(structure: Structure, settings: PIQP) -> "SubproblemSolver":
+    """The one solver of a structure: its pattern is built and set up once."""
+    return SubproblemSolver(structure, settings)
+
+
+class SubproblemSolver:
+    """Assembles the QPs of one structure, solves them and reads their solutions."""
+
+    def __init__(self, structure: Structure, settings: PIQP):
+        self.structure, self.layout = structure, Layout(structure)
+        # Virtual variables make the stages too wide to factorize by stages.
+        wide = structure.relaxed or structure.ball
+        self._workspace = Workspace(settings, multistage=not wide)
+        self._patterns: tuple[SparsePattern, ...] | None = None
+        # Threads may solve problems of the same structure.
+        self._lock = threading.Lock()
+
+    def __call__(self, data: SubproblemData) -> tuple[QPSolution, np.ndarray]:
+        """Solution, and the effort as [solves, iterations, seconds]."""
+        with self._lock:
+            solution = self._workspace.solve(self.assemble(data))
+        return solution, np.array([1.0, solution.iterations, solution.seconds])
+
+    def assemble(self, data: SubproblemData) -> QP:
+        """The QP whose solution is the best step within the model."""
+        layout, structure = self.layout, self.structure
+        first = self._patterns is None
+        P, A, G = (Entries(places=first) for _ in range(3))
+        P.new_rows(layout.columns)
+        b = np.concatenate(
+            [
+                *_dynamics(A, layout, data.model, relaxed=structure.relaxed),
+                *_totals(A, layout, data.model),
+                *_fixed(A, layout, data.limits),
+            ]
+        )
+        h = [*_path(G, layout, data.model)]
+        if structure.ball:
+            h += _ball(G, layout, data.prices)
+        c = _cost(P, layout, data, relaxed=structure.relaxed)
+        lower, upper = _box(layout, data.limits, relaxed=structure.relaxed)
+        if self._patterns is None:
+            self._patterns = tuple(part.pattern(layout.columns) for part in (P, A, G))
+        filled = [
+            pattern.fill(part.vector)
+            for pattern, part in zip(self._patterns, (P, A, G), strict=True)
+        ]
+        return QP(filled[0], c, filled[1], b, filled[2], np.concatenate(h), lower, upper)
+
+    def read(self, solution: QPSolution, effort: np.ndarray) -> np.ndarray:
+        """The vector of a [`SubproblemSolution`][]."""
+        layout, z, bound, y = self.layout, solution.z, solution.bound, solution.y
+        nodes, n = layout.states.shape
+        q = layout.totals.shape[1]
+        states, controls = bound[layout.states], bound[layout.controls]
+        time, totals = bound[[layout.time]], bound[layout.totals[-1]]
+        # The rows of fixed entries follow those of the dynamics and the totals.
+        position = (nodes - 1) * (n + q)
+        for mask, target in (
+            (layout.fixed_states, states),
+            (layout.fixed_controls, controls),
+            (layout.fixed_integrals, totals),
+            (layout.fixed_time, time),
+        ):
+            count = int(mask.sum())
+            target[mask] = y[position : position + count]
+            position += count
+        return np.concatenate(
+            [
+                z[layout.states].ravel(),
+                z[layout.controls].ravel(),
+                z[[layout.time]],
+                y[: (nodes - 1) * n],
+                solution.w[: layout.buffers.size],
+                totals,
+                states.ravel(),
+                controls.ravel(),
+                time,
+                [solution.solved, solution.infeasible],
+                [solution.primal_residual, solution.dual_residual],
+                effort,
+            ]
+        )
+
+
+def _dynamics(A: Entries, layout: Layout, model: Model, *, relaxed: bool):
+    """Linearized dynamics."""
+    defects = model.residuals.defects
+    rows = A.new_rows(*defects.shape)
+    A.add(rows, layout.states[1:], 1.0)
+    _subtract(A, rows, layout, model.derivatives.intervals.next_state, slice(None))
+    if relaxed:
+        A.add(rows, layout.virtual[0], 1.0)
+        A.add(rows, layout.virtual[1], -1.0)
+    yield -defects.ravel()
+
+
+def _totals(A: Entries, layout: Layout, model: Model):
+    """Integrals up to each node; the last one may lean on its buffers."""
+    growth = model.residuals.increments[:, :-1]
+    rows = A.new_rows(*growth.shape)
+    if rows.size:
+        A.add(rows, layout.totals[1:], 1.0)
+        A.add(rows[1:], layout.totals[1:-1], -1.0)
+        part = slice(None, -1)
+        _subtract(A, rows, layout, model.derivatives.intervals.increments, part)
+        A.add(rows[-1], layout.integral_buffers[0], -1.0)
+        A.add(rows[-1], layout.integral_buffers[1], 1.0)
+    yield growth.ravel()
+
+
+def _subtract(A: Entries, rows, layout: Layout, jacobian: Jacobian, part: slice):
+    """What an interval's quantities, one row each, owe to its ends."""
+    rows = rows[:, :, None]
+    intervals = rows.shape[0]
+    states, controls = layout.states[:, None, :], layout.controls[:, None, :]
+    A.add(rows, states[:-1], -jacobian.left_state[:, part])
+    A.add(rows, controls[:intervals], -jacobian.left_control[:, part])
+    if jacobian.right_state is not None:
+        A.add(rows, states[1:], -jacobian.right_state[:, part])
+    if jacobian.right_control is not None:
+        A.add(rows, controls[1:], -jacobian.right_control[:, part])
+    A.add(rows[:, :, 0], layout.time, -jacobian.time[:, part])
+
+
+def _fixed(A: Entries, layout: Layout, limits: Limits):
+    """Fixed entries: an interior-point method needs room between two limits."""
+    for mask, columns, (target, _) in _limited(layout, limits):
+        A.add(A.new_rows(int(mask.sum())), columns[mask], 1.0)
+        yield target[mask]
+
+
+def _limited(layout: Layout, limits: Limits):
+    """Mask of the fixed entries, columns and limits of each kind of variable."""
+    return (
+        (layout.fixed_states, layout.states, limits.state),
+        (layout.fixed_controls, layout.controls, limits.control),
+        (layout.fixed_integrals, layout.totals[-1], limits.integral),
+        (layout.fixed_time, np.array([layout.time]), limits.time),
+    )
+
+
+def _path(G: Entries, layout: Layout, model: Model):
+    """Linearized path constraints, less their buffers."""
+    nodes, path = model.derivatives.nodes, model.residuals.path
+    rows = G.new_rows(*path.shape)
+    if rows.size:
+        # Where a node has no control of its own, the last one is held to it.
+        last = layout.controls.shape[0] - 1
+        controls = layout.controls[np.minimum(np.arange(rows.shape[0]), last)]
+        G.add(rows[:, :, None], layout.states[:, None, :], nodes.path_state)
+        G.add(rows[:, :, None], controls[:, None, :], nodes.path_control)
+        G.add(rows, layout.time, nodes.path_time)
+        G.add(rows, layout.buffers, -1.0)
+    yield -path.ravel()
+
+
+def _ball(G: Entries, layout: Layout, prices: Prices):
+    """The hard trust region: two auxiliary variables a node bound the step's norms."""
+    free = layout.controls.shape[0]
+    for columns, norm in (
+        (layout.states, layout.norms[:, :1]),
+        (layout.controls, layout.norms[:free, 1:]),
+        (np.array([layout.time]), layout.time_norm),
+    ):
+        for sign in (1.0, -1.0):
+            rows = G.new_rows(*columns.shape)
+            G.add(rows, columns, sign)
+            G.add(rows, norm, -1.0)
+            yield np.zeros(rows.size)
+    rows = G.new_rows(layout.norms.shape[0])
+    G.add(rows[:, None], layout.norms, 1.0)
+    G.add(rows, layout.time_norm, 1.0)
+    yield np.full(rows.size, prices.radius)
+
+
+def _cost(P: Entries, layout: Layout, data: SubproblemData, *, relaxed: bool):
+    """The model's cost, the proximal term and the prices of virtual variables."""
+    nodes, n = layout.states.shape
+    free, m = layout.controls.shape
+    prices, gradient = data.prices, data.gradient
+    proximal = prices.proximal / nodes
+    blocks = data.model.hessian + proximal * np.eye(n + m)
+    up, across = np.triu_indices(n + m)
+    both = np.concatenate([layout.states[:free], layout.controls], axis=1)
+    P.add(both[:, up], both[:, across], blocks[:free, up, across])
+    up, across = np.triu_indices(n)
+    only = layout.states[free:]
+    P.add(only[:, up], only[:, across], blocks[free:, up, across])
+    # The flight time moves every node: it counts once for each of them.
+    P.add(layout.time, layout.time, prices.proximal)
+
+    c = np.zeros(layout.columns)
+    c[layout.states], c[layout.controls] = gradient.states, gradient.controls
+    c[layout.time] = gradient.final_time
+    c[layout.buffers], c[layout.integral_buffers] = prices.path, prices.integral
+    if relaxed:
+        c[layout.virtual] = prices.virtual_control
+    return c
+
+
+def _box(layout: Layout, limits: Limits, *, relaxed: bool):
+    """Limits of every column: of variables not fixed, and zero below virtual ones."""
+    lower = np.full(layout.columns, -np.inf)
+    upper = np.full(layout.columns, np.inf)
+    for mask, columns, (low, high) in _limited(layout, limits):
+        lower[columns] = np.where(mask, -np.inf, low)
+        upper[columns] = np.where(mask, np.inf, high)
+    for columns in (layout.buffers, layout.integral_buffers):
+        lower[columns] = 0.0
+    if relaxed:
+        lower[layout.virtual] = 0.0
+    return lower, upper
