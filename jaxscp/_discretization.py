@@ -178,7 +178,24 @@ def linearize(
     return Intervals(ends, increments), IntervalJacobians(dynamics, jacobian)
 
 
-def _flow(problem, discretization, substeps, span, x, left, right, final_time):
+def flow_within(
+    problem: OptimalControlProblem,
+    discretization: Discretization,
+    substeps: Array | int,
+    span: tuple[Scalar, Scalar],
+    x: Float[Array, " n"],
+    controls: tuple[Float[Array, " m"], Float[Array, " m"]],
+    final_time: Scalar,
+    reach: Scalar,
+) -> Float[Array, " n"]:
+    """The state a share `reach` (0 to 1) of one interval behind its left node."""
+    arguments = (problem, discretization, substeps, span, x, *controls, final_time)
+    return _flow(*arguments, reach)[: problem.state_size]
+
+
+def _flow(
+    problem, discretization, substeps, span, x, left, right, final_time, reach=1.0
+):
     """State, and integrals under `FLOW`, at the end of one interval (classical RK4)."""
     start, width = span
     size = problem.state_size
@@ -193,15 +210,15 @@ def _flow(problem, discretization, substeps, span, x, left, right, final_time):
             return dynamics
         return jnp.concatenate([dynamics, integrand_rates(problem, t, x, u)])
 
-    seconds = final_time * width / substeps
-
+    step = reach / substeps
+    seconds = final_time * width * step
     nodes, weights = jnp.asarray(_NODES), jnp.asarray(_WEIGHTS)
 
     def stage(index, carry):
         # One stage a pass, so that the dynamics are compiled once instead of four times.
         y, slope, growth = carry
         which = index % 4
-        fraction = (index // 4 + nodes[which]) / substeps
+        fraction = (index // 4 + nodes[which]) * step
         slope = rate(fraction, y + nodes[which] * seconds * slope)
         growth = growth + weights[which] * slope
         last = which == 3

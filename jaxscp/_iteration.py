@@ -7,7 +7,13 @@ import jax
 import jax.numpy as jnp
 
 from ._discretization import Discretization
-from ._model import PerConstraint, integral_limits, penalized_cost, violations
+from ._model import (
+    PerConstraint,
+    integral_limits,
+    largest_buffer,
+    penalized_cost,
+    violations,
+)
 from ._scaling import Scaling, automatic_scaling
 from ._subproblem import SubproblemSolution
 from ._transcription import Derivatives, Residuals, Transcription, Variables
@@ -120,12 +126,6 @@ def is_finite(tree) -> Array:
     """Whether every number of a tree is finite."""
     leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_inexact_array))
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
-
-
-def largest_buffer(broken: PerConstraint) -> Scalar:
-    """Largest violation of a path or integral constraint."""
-    path = jnp.max(broken.path, initial=0.0)
-    return jnp.maximum(path, jnp.max(broken.integral, initial=0.0))
 
 
 class Trial(eqx.Module):

@@ -100,6 +100,18 @@ def violations(
     )
 
 
+def largest_buffer(broken: PerConstraint) -> Scalar:
+    """Largest violation of a path or integral constraint."""
+    path = jnp.max(broken.path, initial=0.0)
+    return jnp.maximum(path, jnp.max(broken.integral, initial=0.0))
+
+
+def worst_violation(residuals: Residuals, limits: tuple[Array, Array]) -> Scalar:
+    """Largest violation of any constraint."""
+    broken = violations(residuals, limits)
+    return jnp.maximum(jnp.max(broken.dynamics), largest_buffer(broken))
+
+
 def penalized_cost(
     residuals: Residuals, limits: tuple[Array, Array], weights: PerConstraint
 ) -> Scalar:

@@ -14,7 +14,6 @@ from ._iteration import (
     advance,
     is_finite,
     judge,
-    largest_buffer,
     linearized,
     start,
     tree_where,
@@ -27,7 +26,7 @@ from ._model import (
     convexified,
     integral_limits,
     penalized_cost,
-    violations,
+    worst_violation,
 )
 from ._qp import PIQP
 from ._scp import AbstractSCP
@@ -92,12 +91,12 @@ class ProximalSCP(AbstractSCP):
         iterate = linearized(transcription, state.scaling, state.iterate)
         state = dataclasses.replace(state, iterate=iterate, finite=is_finite(iterate))
         model = self._model(transcription, state)
-        trial, judgement, weights = self._search(transcription, state, model)
-        return self._advance(transcription, state, trial, judgement, weights)
+        search, judgement = self._search(transcription, state, model)
+        return self._advance(transcription, state, search, judgement)
 
     def _search(
         self, transcription: Transcription, state: SCPState, model: Model
-    ) -> tuple[Trial, Judgement, PerConstraint]:
+    ) -> tuple["_Search", Judgement]:
         """The subproblem's step or, if that is poor, its second-order correction.
 
         The correction solves the same subproblem with what the linearization missed at
@@ -161,7 +160,7 @@ class ProximalSCP(AbstractSCP):
         )
         search = _Search(jnp.zeros((), int), here, state.weights, here, nowhere)
         search = jax.lax.while_loop(again, attempt, search)
-        return search.best, judged(search), search.weights
+        return search, judged(search)
 
     def _model(self, transcription: Transcription, state: SCPState) -> Model:
         """Linear constraints, and the Lagrangian's curvature without the dynamics'."""
@@ -197,10 +196,10 @@ class ProximalSCP(AbstractSCP):
         self,
         transcription: Transcription,
         state: SCPState,
-        trial: Trial,
+        search: "_Search",
         judgement: Judgement,
-        weights: PerConstraint,
     ) -> SCPState:
+        trial = search.best
         ratio, factor = judgement.ratio, self.weight_factor
         radius = jnp.where(ratio < self.poor_ratio, state.radius / factor, state.radius)
         radius = jnp.where(ratio > self.good_ratio, radius * factor, radius)
@@ -209,21 +208,20 @@ class ProximalSCP(AbstractSCP):
         stationary = judgement.predicted * held_back <= self.tolerance
         limits = integral_limits(transcription, state.scaling)
         here = tree_where(judgement.accepted, trial.residuals, state.iterate.residuals)
-        broken = violations(here, limits)
-        worst = jnp.maximum(jnp.max(broken.dynamics), largest_buffer(broken))
-        # Stationary but infeasible: virtual variables may only be too cheap.
-        cheap = stationary & (worst > self.feasibility_tolerance)
-        cheap &= state.ceiling < self.max_ceiling
+        infeasible = worst_violation(here, limits) > self.feasibility_tolerance
+        # Where even the model leaves a violation, virtual variables may be too cheap.
+        bought = worst_violation(search.expected, limits) > self.feasibility_tolerance
+        cheap = stationary & bought & (state.ceiling < self.max_ceiling)
         ceiling = jnp.where(cheap, 10.0 * state.ceiling, state.ceiling)
         return advance(
             transcription,
             state,
             trial,
             judgement,
-            weights=weights,
+            weights=search.weights,
             ceiling=ceiling,
             radius=jnp.minimum(radius, self.max_radius),
-            stationary=stationary & ~cheap,
+            stationary=stationary & (~infeasible | bought) & ~cheap,
             iterations=state.iterations + 1,
         )
 

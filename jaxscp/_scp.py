@@ -7,8 +7,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._iteration import SCPState, largest_buffer
-from ._model import integral_limits, violations
+from ._iteration import SCPState
+from ._model import integral_limits, largest_buffer, violations
 from ._status import Status
 from ._transcription import Transcription, Variables
 from ._types import Array

@@ -100,7 +100,7 @@ def through_waypoints(
     waypoints: ArrayLike,
     *,
     nodes: int | ArrayLike = 50,
-    loiter: Sequence[float] | None = None,
+    loiter: ArrayLike | Sequence[float] | None = None,
     final_time: ArrayLike | None = None,
     control: ArrayLike | None = None,
 ) -> Trajectory:
@@ -138,7 +138,7 @@ def through_waypoints(
         )
     steps = jnp.abs(jnp.diff(points, axis=0))
     largest = jnp.max(steps, axis=0)
-    lengths = jnp.linalg.norm(steps / jnp.where(largest > 0, largest, 1.0), axis=1)
+    lengths = jnp.linalg.norm(steps / jnp.where(largest > 0, largest, 1.0)[None], axis=1)
     # Waypoints that all coincide share the time evenly.
     lengths = jnp.where(jnp.sum(lengths) > 0, lengths, 1.0)
     legs = transit * lengths / jnp.sum(lengths)
@@ -192,4 +192,4 @@ def _guessed_controls(
             f"the first and the last, shape (2, {size})."
         )
     ends = jnp.broadcast_to(values, (2, size))
-    return ends[0] + fractions[:, None] * (ends[1] - ends[0])
+    return ends[:1] + fractions[:, None] * (ends[1:] - ends[:1])

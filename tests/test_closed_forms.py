@@ -129,7 +129,9 @@ def test_bryson_denham_acceleration():
 
 def test_a_warm_start_stays_where_it_is():
     problem, solution = solved("minimum-energy")
-    again = jaxscp.solve(problem, solution, discretization=solution.discretization)
+    again = jaxscp.solve(
+        problem, solution.trajectory, discretization=solution.discretization
+    )
     assert int(again.statistics.iterations) <= 3
     np.testing.assert_allclose(
         again.trajectory.states, solution.trajectory.states, atol=1e-6

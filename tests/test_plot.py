@@ -67,7 +67,7 @@ def test_convergence(double_integrator):
     ax = Figure().subplots()
     assert plot.convergence(ax, double_integrator) is ax
     assert ax.get_yscale() == "log"
-    assert ax.get_xlabel() == "iteration"
+    assert ax.get_xlabel() == "subproblem"
     assert len(ax.get_lines()) == 3
 
 

@@ -2,7 +2,7 @@
 
 import math
 import platform
-from importlib.metadata import version
+from importlib import metadata
 from typing import Any
 
 import jax.numpy as jnp
@@ -24,9 +24,9 @@ def as_json(
 ) -> dict[str, Any]:
     """What `--json` writes; numbers that are not finite become null.
 
-    `defect_max` is the largest scaled defect of the last iterate. `position_error` [m]
-    and `violations` are the verification's: intervals flown again from their nodes, and
-    limits checked between the nodes too.
+    `defect_max` is relative to the states' scales. `position_error` [m] and `violations`
+    are the verification's: intervals flown again from their nodes, and limits checked
+    between the nodes too.
     """
     required = mission.data_required
     report = {
@@ -38,7 +38,7 @@ def as_json(
         "final_time": float(solution.trajectory.final_time),
         "data_bits": data_bits(mission, verification),
         "data_required_bits": None if required is None else float(required),
-        "defect_max": _last(solution.history.defect),
+        "defect_max": largest_defect(solution),
         "position_error": position_error(verification),
         "violations": {
             name: {"value": worst.value, "unit": worst.unit, "time": worst.time}
@@ -49,7 +49,7 @@ def as_json(
         "seconds": seconds,
         "versions": {
             "python": platform.python_version(),
-            **{package: version(package) for package in PACKAGES},
+            **{package: _version(package) for package in PACKAGES},
         },
     }
     return _finite(report)
@@ -124,6 +124,12 @@ def position_error(verification: Verification) -> float:
     return float(np.max(np.linalg.norm(errors, axis=1)))
 
 
+def largest_defect(solution: Solution) -> float:
+    """Largest defect of the last iterate, relative to the states' scales."""
+    scales, _, _ = solution.violations.scales
+    return float(np.max(np.abs(solution.violations.dynamics) / scales))
+
+
 def data_bits(mission: Mission, verification: Verification) -> float:
     """Data transferred on the way [bit], also where the mission requires none."""
     if "data" in verification.integrals:
@@ -140,11 +146,12 @@ def _data(mission: Mission, verification: Verification) -> str:
     return f"{text} of {float(mission.data_required) / 1e6:.3f} Mbit required"
 
 
-def _last(values: Any) -> float:
-    """The last entry of a history that is not NaN."""
-    array = np.asarray(values, float)
-    array = array[~np.isnan(array)]
-    return float(array[-1]) if array.size else math.nan
+def _version(package: str) -> str | None:
+    """None for a package that runs from its source tree without being installed."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return None
 
 
 def _finite(value: Any) -> Any:

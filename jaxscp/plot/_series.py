@@ -69,10 +69,10 @@ def control(ax: Axes, solution: Solution, index: int) -> Axes:
 
 
 def convergence(ax: Axes, solution: Solution) -> Axes:
-    """Draw how far each iteration was from the end, on a logarithmic axis.
+    """Draw how far each subproblem was from the end, on a logarithmic axis.
 
     Shown are the distance of the penalized cost from its last value, the predicted
-    reduction (both in units of the objective), and the largest scaled defect.
+    reduction, and the largest defect of the step tried, all of them scaled.
     """
     history = solution.history
     cost = np.asarray(history.penalized_cost, float)
@@ -86,11 +86,11 @@ def convergence(ax: Axes, solution: Solution) -> Axes:
     for (name, values), colour in zip(rows.items(), CYCLE, strict=False):
         # A logarithmic axis has no place for zero.
         shown = np.where(values > 0, values, np.nan)
-        iterations = np.arange(1, shown.size + 1)
-        ax.plot(iterations, shown, ".-", color=colour, label=name)
+        numbers = np.arange(1, shown.size + 1)
+        ax.plot(numbers, shown, ".-", color=colour, label=name)
     ax.set_yscale("log")
     ax.set_xlim(0.5, max(finite.size, 1) + 0.5)
-    ax.set_xlabel("iteration")
+    ax.set_xlabel("subproblem")
     ax.legend()
     return ax
 

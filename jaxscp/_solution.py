@@ -1,0 +1,129 @@
+"""`Solution`: what a solve returns."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ._diagnosis import Violations, explain
+from ._discretization import Discretization, flow_within
+from ._iteration import History
+from ._problem import OptimalControlProblem
+from ._status import Status
+from ._trajectory import Trajectory
+from ._types import Array, ArrayLike, Float, Scalar, is_concrete
+
+
+class Multipliers(eqx.Module):
+    """Multipliers of the discrete problem, in units of the objective per constraint unit.
+
+    - `dynamics`: costates: what the optimal objective changes by when the state is pushed
+        by one unit at the end of an interval.
+    - `path_constraints`: of g <= 0 at each node; never negative.
+    - `integrals`: of the integrals' limits; positive at an upper one, negative at a
+        lower one. Raising the active limit by one unit changes the objective by minus
+        that number.
+    - `state`, `control`, `final_time`: of the limits, and of values fixed at one end,
+        with the same signs.
+    """
+
+    dynamics: Float[Array, "N-1 n"]
+    path_constraints: dict[str, Float[Array, "N _"]]
+    integrals: dict[str, Scalar]
+    state: Float[Array, "N n"]
+    control: Float[Array, "N m"]
+    final_time: Scalar
+
+
+class Statistics(eqx.Module):
+    """What a solve took.
+
+    - `iterations`: as the method counts them. `subproblems`: QPs solved, corrections and
+        relaxations included. `qp_iterations`: interior-point iterations in all of them.
+    - `substeps`: Runge-Kutta steps an interval at the end. `integration_error`: the
+        error they leave, relative to the scales.
+    - `qp_seconds`: time inside PIQP. `seconds`: the whole call, compilation included;
+        NaN under `jax.jit`, which knows no clock.
+    """
+
+    iterations: Array
+    subproblems: Array
+    qp_iterations: Array
+    substeps: Array
+    integration_error: Scalar
+    qp_seconds: Scalar
+    seconds: Scalar
+
+
+class Solution(eqx.Module):
+    """The last iterate of a solve, converged or not.
+
+    - `problem`, `discretization`: what was solved, and how it was made discrete.
+    - `trajectory`: nodal states and controls, and the flight time.
+    - `objective`: cost, in its own unit. `integrals`: total of each integral.
+    - `multipliers`: named, in physical units.
+    - `status`: how the solve ended; `message` says it with names and numbers.
+    - `history`: one record for each subproblem. `statistics`: what it took.
+    """
+
+    problem: OptimalControlProblem
+    discretization: Discretization
+    trajectory: Trajectory
+    objective: Scalar
+    integrals: dict[str, Scalar]
+    multipliers: Multipliers
+    violations: Violations
+    status: Status
+    history: History
+    statistics: Statistics
+
+    @property
+    def converged(self) -> Array:
+        """Whether the solve ended at a feasible stationary point."""
+        return self.status == Status.converged
+
+    @property
+    def message(self) -> str:
+        """How the solve ended: names, nodes, times and amounts in physical units."""
+        return explain(self.problem, self.trajectory, self.violations, self.status)
+
+    def sample(self, times: ArrayLike) -> Trajectory:
+        """States and controls at any times of the flight, with the hold that was used.
+
+        States flow from the node before, controls follow the hold.
+
+        **Arguments:**
+
+        - `times`: moments [s], shape (k,), from 0 to the flight time.
+
+        **Raises:** `ValueError` if a moment lies outside the flight.
+        """
+        moments = jnp.asarray(times, float)
+        fractions = moments / self.trajectory.final_time
+        if is_concrete(fractions) and fractions.size:
+            first, last = float(jnp.min(fractions)), float(jnp.max(fractions))
+            if first < -1e-9 or last > 1.0 + 1e-9:
+                end = float(self.trajectory.final_time)
+                raise ValueError(
+                    f"times from {first * end:g} to {last * end:g} s: the flight lasts "
+                    f"from 0 to {end:g} s."
+                )
+        return _sampled(self, jnp.clip(fractions, 0.0, 1.0))
+
+
+@eqx.filter_jit
+def _sampled(solution: Solution, fractions: Float[Array, " k"]) -> Trajectory:
+    nodes = solution.trajectory
+    last = nodes.nodes - 2
+    index = jnp.clip(jnp.searchsorted(nodes.fractions, fractions, "right") - 1, 0, last)
+    starts, widths = nodes.fractions[:-1], jnp.diff(nodes.fractions)
+    left, right = nodes.controls[index], nodes.controls[index + 1]
+    within = (fractions - starts[index]) / widths[index]
+    solver = solution.problem, solution.discretization, solution.statistics.substeps
+    time = nodes.final_time
+    states = jax.vmap(
+        lambda span, x, controls, reach: flow_within(
+            *solver, span, x, controls, time, reach
+        )
+    )((starts[index], widths[index]), nodes.states[index], (left, right), within)
+    controls = jax.vmap(solution.discretization.hold.interpolate)(left, right, within)
+    return Trajectory(fractions, states, controls, time)

@@ -1,0 +1,174 @@
+"""`solve`: from a problem and a guess to a solution."""
+
+import time
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ._diagnosis import Violations
+from ._discretization import Discretization
+from ._iteration import SCPState
+from ._model import integral_limits, violations
+from ._problem import OptimalControlProblem
+from ._proximal import ProximalSCP
+from ._scp import AbstractSCP, run
+from ._solution import Multipliers, Solution, Statistics
+from ._status import Status
+from ._trajectory import Trajectory, straight_line
+from ._transcription import Transcription
+from ._types import Array, ArrayLike, Float, is_concrete
+from ._validation import check_guess, check_precision, check_problem
+
+
+class SolveError(RuntimeError):
+    """A solve that did not converge; `solution` holds its last iterate."""
+
+    def __init__(self, solution: Solution):
+        super().__init__(solution.message)
+        self.solution = solution
+
+
+def solve(
+    problem: OptimalControlProblem,
+    guess: Trajectory | None = None,
+    method: AbstractSCP = ProximalSCP(),  # noqa: B008  (immutable)
+    *,
+    nodes: int | ArrayLike = 50,
+    discretization: Discretization = Discretization(),  # noqa: B008  (immutable)
+    progress: Callable[[dict], None] | None = None,
+    throw: bool = True,
+) -> Solution:
+    """Solve an optimal control problem by sequential convex programming.
+
+    Works under `jax.jit` and `jax.vmap`; a batch is solved one element after another.
+    New numbers in the problem or the guess compile nothing, other functions, other
+    numbers of nodes and other settings do.
+
+    **Main arguments:**
+
+    - `problem`: what to solve.
+    - `guess`: where to start, with the time grid to use; a straight line by default.
+    - `method`: [`ProximalSCP`][], or the paper's [`PaperSCP`][].
+    - `nodes`: number of nodes, or their fractions of the flight time; only without a
+        guess, which has its own.
+
+    **Other arguments:**
+
+    - `discretization`: hold, quadrature and integration tolerance.
+    - `progress`: called after every iteration with a dictionary of its numbers: the
+        fields of [`History`][] and `iteration`. Pass the same function each time: a new
+        one compiles anew.
+    - `throw`: raise if the solve does not converge. With `throw=False` the solution
+        says so in its status and holds the last iterate.
+
+    **Raises:** `RuntimeError` if JAX is not in 64-bit mode, `ValueError` for a problem
+    or guess that makes no sense, [`SolveError`][] without convergence; inside `jax.jit`
+    that is Equinox's runtime error with the status' sentence.
+    """
+    begun = time.perf_counter()
+    check_precision()
+    check_problem(problem)
+    if guess is None:
+        guess = straight_line(problem, nodes)
+    check_guess(problem, guess)
+    transcription = Transcription(problem, discretization, guess.fractions)
+    solution = _run(method, transcription, guess, progress)
+    if is_concrete(solution.objective):
+        jax.block_until_ready(solution.objective)
+        elapsed = jnp.asarray(time.perf_counter() - begun)
+        solution = eqx.tree_at(lambda s: s.statistics.seconds, solution, elapsed)
+        if throw and not bool(solution.converged):
+            raise SolveError(solution)
+        return solution
+    if throw:
+        failed = solution.status != Status.converged
+        return solution.status.error_if(solution, failed)
+    return solution
+
+
+@eqx.filter_jit
+def _run(
+    method: AbstractSCP,
+    transcription: Transcription,
+    guess: Trajectory,
+    progress: Callable[[dict], None] | None,
+) -> Solution:
+    arrays, rest = eqx.partition((transcription, guess), eqx.is_array)
+
+    # A batch shares nothing but its pattern: one after another, each element iterates
+    # as often as it needs and none waits for, or spoils, another.
+    @jax.custom_batching.sequential_vmap
+    def one(arrays):
+        transcription, guess = eqx.combine(arrays, rest)
+        return run(method, transcription, transcription.variables(guess), progress)
+
+    return _solution(transcription, *one(arrays))
+
+
+def _named(transcription: Transcription, values: Array) -> dict[str, Array]:
+    """Columns of all path constraints, by their names."""
+    named, start = {}, 0
+    for name, size in transcription.path_sizes.items():
+        named[name] = values[..., start : start + size]
+        start += size
+    return named
+
+
+def _solution(
+    transcription: Transcription, state: SCPState, status: Status
+) -> Solution:
+    """The last iterate in physical units."""
+    problem, scaling, iterate = transcription.problem, state.scaling, state.iterate
+    names = tuple(problem.integrals)
+    totals = iterate.residuals.totals * scaling.integral
+    broken = violations(iterate.residuals, integral_limits(transcription, scaling))
+    missed = broken.integral * scaling.integral
+    return Solution(
+        problem=problem,
+        discretization=transcription.discretization,
+        trajectory=transcription.trajectory(iterate.variables),
+        objective=iterate.residuals.objective * scaling.objective,
+        integrals=dict(zip(names, totals, strict=True)),
+        multipliers=_multipliers(transcription, state),
+        violations=Violations(
+            dynamics=iterate.residuals.defects * scaling.state,
+            path_constraints=_named(transcription, broken.path * scaling.path),
+            integrals=dict(zip(names, missed, strict=True)),
+            scales=(
+                scaling.state,
+                _named(transcription, scaling.path),
+                dict(zip(names, scaling.integral, strict=True)),
+            ),
+        ),
+        status=status,
+        history=state.history,
+        statistics=Statistics(
+            iterations=state.iterations,
+            subproblems=state.subproblems,
+            qp_iterations=state.qp_iterations,
+            substeps=iterate.substeps,
+            integration_error=iterate.integration_error,
+            qp_seconds=state.qp_seconds,
+            seconds=jnp.asarray(jnp.nan),
+        ),
+    )
+
+
+def _multipliers(transcription: Transcription, state: SCPState) -> Multipliers:
+    """A scaled multiplier is objective scale per constraint scale."""
+    scaling, solution = state.scaling, state.solution
+    scaled, size = solution.multipliers, scaling.objective
+    integral = scaled.integral * size / scaling.integral
+    missing = transcription.nodes - transcription.control_nodes
+    control: Float[Array, "N m"] = jnp.pad(solution.control, ((0, missing), (0, 0)))
+    return Multipliers(
+        # A defect is the next node minus the flow: pushing the flow is its negative.
+        dynamics=-scaled.dynamics * size / scaling.state,
+        path_constraints=_named(transcription, scaled.path * size / scaling.path),
+        integrals=dict(zip(transcription.problem.integrals, integral, strict=True)),
+        state=solution.state * size / scaling.state,
+        control=control * size / scaling.control,
+        final_time=solution.final_time * size / scaling.time,
+    )

@@ -1,0 +1,171 @@
+"""Checks of a problem and a guess before anything compiles.
+
+Each error names the field, its value and the fix. Values are checked where they are
+known, which is not so inside `jax.jit`; shapes always.
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ._bounds import Bounds
+from ._problem import OptimalControlProblem
+from ._trajectory import Trajectory, time_grid
+from ._types import is_concrete
+
+
+def check_precision() -> None:
+    """**Raises:** `RuntimeError` if JAX is not in 64-bit mode."""
+    if not jax.config.jax_enable_x64:
+        raise RuntimeError(
+            "jaxscp computes in 64 bits, and JAX is in 32-bit mode; add "
+            "jax.config.update('jax_enable_x64', True) before the first array is made."
+        )
+
+
+def check_problem(problem: OptimalControlProblem) -> None:
+    """**Raises:** `ValueError` for the first inconsistency found."""
+    for name, shape in (
+        ("state", None),
+        ("control", None),
+        ("initial_state", problem.state.shape),
+        ("final_state", problem.state.shape),
+        ("final_time", ()),
+    ):
+        _check_bounds(name, getattr(problem, name), shape)
+    for name, integral in problem.integrals.items():
+        _check_bounds(f"integrals[{name!r}].bounds", integral.bounds, ())
+    for names, size in (
+        ("state_names", problem.state_size),
+        ("control_names", problem.control_size),
+    ):
+        given = getattr(problem, names)
+        if len(given) != size:
+            raise ValueError(f"{names}={given}: give {size} names, one for each entry.")
+    for name in ("initial_state", "final_state"):
+        _check_reachable(problem, name)
+    low = problem.final_time.lower
+    if is_concrete(low) and not float(low) > 0:
+        raise ValueError(
+            f"final_time: lower={float(low):g} s must be positive; give the shortest "
+            "flight time that makes sense, for example 0.1."
+        )
+    _check_functions(problem)
+
+
+def check_guess(problem: OptimalControlProblem, guess: Trajectory) -> None:
+    """**Raises:** `ValueError` if a guess does not fit its problem."""
+    time_grid(guess.fractions)
+    for name, size in (
+        ("states", problem.state_size),
+        ("controls", problem.control_size),
+    ):
+        value = getattr(guess, name)
+        if value.shape != (guess.nodes, size):
+            raise ValueError(
+                f"guess.{name} has shape {value.shape}; give one row of {size} entries "
+                f"for each of the {guess.nodes} nodes."
+            )
+    for name in ("states", "controls", "final_time"):
+        value = getattr(guess, name)
+        if is_concrete(value) and not np.isfinite(value).all():
+            raise ValueError(
+                f"guess.{name} holds NaN or infinity; give finite numbers at every node."
+            )
+    time = guess.final_time
+    if jnp.shape(time) != () or (is_concrete(time) and not float(time) > 0):
+        raise ValueError(
+            f"guess.final_time={time}: give one positive number of seconds."
+        )
+
+
+def _check_bounds(name: str, bounds: Bounds, shape: tuple[int, ...] | None) -> None:
+    if not isinstance(bounds, Bounds):
+        raise ValueError(
+            f"{name} is {type(bounds).__name__}; give Bounds(lower, upper), or "
+            "Bounds.exactly(value)."
+        )
+    if shape is None:
+        if len(bounds.shape) != 1 or bounds.shape[0] == 0:
+            raise ValueError(
+                f"{name}: bounds of shape {bounds.shape}; give one lower and one upper "
+                "limit for each entry, shape (n,)."
+            )
+    elif bounds.shape != shape:
+        raise ValueError(
+            f"{name}: bounds of shape {bounds.shape}; the problem needs {shape}."
+        )
+    if not is_concrete(bounds.lower, bounds.upper):
+        return
+    lower, upper = np.asarray(bounds.lower), np.asarray(bounds.upper)
+    fixed = bounds.is_fixed
+    if not np.isfinite(lower[fixed]).all() or not np.isfinite(upper[fixed]).all():
+        raise ValueError(
+            f"{name}: fixed entries must be finite, got {lower[fixed]}; give a number, "
+            "or different infinite limits where an entry is free."
+        )
+    if (lower > upper).any() or np.isnan(lower).any() or np.isnan(upper).any():
+        raise ValueError(
+            f"{name}: lower={lower} must not exceed upper={upper}, nor be NaN; swap or "
+            "widen them."
+        )
+    if (lower[fixed] != upper[fixed]).any():
+        raise ValueError(
+            f"{name}: fixed entries have lower={lower[fixed]} and upper={upper[fixed]}; "
+            "set both ends to the same number, or make new Bounds."
+        )
+
+
+def _check_reachable(problem: OptimalControlProblem, name: str) -> None:
+    """A boundary state must leave room within the limits of the state."""
+    boundary, limits = getattr(problem, name), problem.state
+    ends = (boundary.lower, boundary.upper, limits.lower, limits.upper)
+    if not is_concrete(*ends):
+        return
+    low, high, lower, upper = (np.asarray(end) for end in ends)
+    slack = 1e-12 * np.maximum(1.0, np.abs(np.where(np.isfinite(low), low, 0.0)))
+    outside = (low > upper + slack) | (high < lower - slack)
+    if outside.any():
+        entry = int(np.argmax(outside))
+        raise ValueError(
+            f"{name}: {problem.state_names[entry]} between {low[entry]:g} and "
+            f"{high[entry]:g} lies outside its own limits {lower[entry]:g} to "
+            f"{upper[entry]:g}; move it inside, or widen `state`."
+        )
+
+
+def _check_functions(problem: OptimalControlProblem) -> None:
+    """Shapes and types of what the callables return, without computing anything."""
+    t = jax.ShapeDtypeStruct((), jnp.float64)
+    x = jax.ShapeDtypeStruct(problem.state.shape, jnp.float64)
+    u = jax.ShapeDtypeStruct(problem.control.shape, jnp.float64)
+    _check_output("dynamics", problem.dynamics, (t, x, u), problem.state.shape)
+    _check_output("running_cost", problem.running_cost, (t, x, u), ())
+    _check_output("terminal_cost", problem.terminal_cost, (t, x), ())
+    for name, constraint in problem.path_constraints.items():
+        _check_output(f"path_constraints[{name!r}]", constraint, (t, x, u), None)
+    for name, integral in problem.integrals.items():
+        field = f"integrals[{name!r}].integrand"
+        _check_output(field, integral.integrand, (t, x, u), ())
+
+
+def _check_output(
+    name: str, function: Callable, arguments: tuple, shape: tuple[int, ...] | None
+) -> None:
+    output = jax.eval_shape(function, *arguments)
+    if not hasattr(output, "shape"):
+        raise ValueError(
+            f"{name} returns {type(output).__name__}; return one array, "
+            "for example jnp.stack([...])."
+        )
+    if shape is None:
+        shape = output.shape if len(output.shape) == 1 else (output.size,)
+    if output.shape != shape:
+        raise ValueError(f"{name} returns shape {output.shape}; return shape {shape}.")
+    if not jnp.issubdtype(output.dtype, jnp.floating):
+        raise ValueError(
+            f"{name} returns {output.dtype}; return floating-point numbers, "
+            "for example by writing 1.0 instead of 1."
+        )
