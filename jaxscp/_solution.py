@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from ._diagnosis import Violations, explain
 from ._discretization import Discretization, flow_within
 from ._iteration import History
+from ._packed import Packed
 from ._problem import OptimalControlProblem
 from ._status import Status
 from ._trajectory import Trajectory
@@ -65,7 +66,7 @@ class Solution(eqx.Module):
     - `history`: one record for each subproblem. `statistics`: what it took.
     """
 
-    problem: OptimalControlProblem
+    packed_problem: Packed
     discretization: Discretization
     trajectory: Trajectory
     objective: Scalar
@@ -75,6 +76,11 @@ class Solution(eqx.Module):
     status: Status
     history: History
     statistics: Statistics
+
+    @property
+    def problem(self) -> OptimalControlProblem:
+        """What was solved."""
+        return self.packed_problem.unpack()
 
     @property
     def converged(self) -> Array:

@@ -11,6 +11,7 @@ from ._diagnosis import Violations
 from ._discretization import Discretization
 from ._iteration import SCPState
 from ._model import integral_limits, violations
+from ._packed import Packed
 from ._problem import OptimalControlProblem
 from ._proximal import ProximalSCP
 from ._scp import AbstractSCP, run
@@ -126,7 +127,7 @@ def _solution(
     broken = violations(iterate.residuals, integral_limits(transcription, scaling))
     missed = broken.integral * scaling.integral
     return Solution(
-        problem=problem,
+        packed_problem=Packed.of(problem),
         discretization=transcription.discretization,
         trajectory=transcription.trajectory(iterate.variables),
         objective=iterate.residuals.objective * scaling.objective,

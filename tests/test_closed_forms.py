@@ -12,6 +12,9 @@ import jaxscp
 from jaxscp.verify import verify
 
 BY_NAME = {known.name: known for known in BANK}
+# Much stricter than the defaults: the distance from the optimum is the square root of
+# the predicted reduction's.
+PRECISE = jaxscp.ProximalSCP(tolerance=1e-10, feasibility_tolerance=1e-8)
 every_problem = pytest.mark.parametrize("name", BY_NAME)
 
 
@@ -19,9 +22,9 @@ every_problem = pytest.mark.parametrize("name", BY_NAME)
 def solved(name: str):
     known = BY_NAME[name]
     problem = known.build()
-    guess = jaxscp.straight_line(problem, known.nodes, final_time=known.final_time)
+    guess = known.guess(problem, known.nodes)
     discretization = jaxscp.Discretization(hold=known.hold)
-    return problem, jaxscp.solve(problem, guess, discretization=discretization)
+    return problem, jaxscp.solve(problem, guess, PRECISE, discretization=discretization)
 
 
 def test_the_figures_of_the_literature():
@@ -130,9 +133,9 @@ def test_bryson_denham_acceleration():
 def test_a_warm_start_stays_where_it_is():
     problem, solution = solved("minimum-energy")
     again = jaxscp.solve(
-        problem, solution.trajectory, discretization=solution.discretization
+        problem, solution.trajectory, PRECISE, discretization=solution.discretization
     )
-    assert int(again.statistics.iterations) <= 3
+    assert int(again.statistics.iterations) < int(solution.statistics.iterations)
     np.testing.assert_allclose(
         again.trajectory.states, solution.trajectory.states, atol=1e-6
     )

@@ -24,9 +24,9 @@ def as_json(
 ) -> dict[str, Any]:
     """What `--json` writes; numbers that are not finite become null.
 
-    `defect_max` is relative to the states' scales. `position_error` [m] and `violations`
-    are the verification's: intervals flown again from their nodes, and limits checked
-    between the nodes too.
+    `defect_max` is relative to the states' scales. `position_error` [m] and
+    `violations` come from the verification: intervals flown again from their nodes, and
+    limits checked between the nodes too.
     """
     required = mission.data_required
     report = {

@@ -2,7 +2,7 @@
 
 import os
 import time
-from typing import Any, Self
+from typing import Any
 
 import jax.monitoring
 
@@ -19,7 +19,7 @@ class CompileClock:
     def seconds(self) -> float:
         return sum(end - begin for begin, end in self._spans)
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "CompileClock":
         jax.monitoring.register_event_duration_secs_listener(self._record)
         return self
 

@@ -100,7 +100,7 @@ def curves(ax: Axes, times: np.ndarray, values: dict[str, np.ndarray]) -> Axes:
     for colour, (name, column) in zip(CYCLE, values.items(), strict=False):
         ax.plot(times, column, color=colour, label=name)
     if len(values) > 1:
-        ax.legend(loc="upper right", ncols=len(values), fontsize="small")
+        ax.legend(ncols=len(values), fontsize="small")
     return ax
 
 
