@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Sequence
 
-from ._cli._arguments import parser
+from ._cli._arguments import InputError, parser
 
 BAD_INPUT = 2
 
@@ -26,7 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     jax.config.update("jax_enable_x64", True)
     try:
         return getattr(_commands, arguments.command)(arguments)
-    except (OSError, ValueError) as error:
+    except (InputError, OSError) as error:
         line = " ".join(str(error).split())
         print(f"jaxscp {arguments.command}: error: {line}", file=sys.stderr)
         return BAD_INPUT

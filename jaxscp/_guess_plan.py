@@ -1,5 +1,7 @@
 """`GuessPlan`: how a mission's guess is flown."""
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,6 +10,11 @@ from ._trajectory import Trajectory
 from ._types import Array, Float, Scalar
 from .models._parameters import Numbers, optional_parameter, parameter
 from .models.channel import Channel
+from .models.obstacles import Cylinders
+
+
+# 2^8 ways to pass eight buildings.
+_MOST_ENUMERATED = 8
 
 
 class GuessPlan(eqx.Module):
@@ -24,23 +31,30 @@ class GuessPlan(eqx.Module):
     - `transit_share`: share of the nodes outside the wait, above 0 and at most 0.99.
         A long wait leaves few of evenly spaced nodes to the transits, where all the
         motion is. None spaces them evenly, as the paper does.
+    - `detour_margin`: how far beside a building's axis a leg through it is led, in safe
+        distances.
     """
 
     cruise_speed: Scalar
     loiter_height: Scalar
     transit_share: Scalar | None
+    detour_margin: Scalar
 
     def __init__(
         self,
         cruise_speed: Numbers = 28.5,
         loiter_height: Numbers = 30.0,
         transit_share: Numbers | None = None,
+        detour_margin: Numbers = 1.5,
     ):
         self.cruise_speed = parameter(
             "GuessPlan.cruise_speed", cruise_speed, above=0.0, unit="m/s"
         )
         self.loiter_height = parameter(
             "GuessPlan.loiter_height", loiter_height, above=0.0, unit="m"
+        )
+        self.detour_margin = parameter(
+            "GuessPlan.detour_margin", detour_margin, at_least=1.0
         )
         self.transit_share = optional_parameter(
             "GuessPlan.transit_share", transit_share, above=0.0, at_most=0.99
@@ -53,9 +67,50 @@ class GuessPlan(eqx.Module):
         place = channel.ground_station.at[2].add(self.loiter_height)
         return place if altitude_floor is None else place.at[2].max(altitude_floor)
 
+    def detours(
+        self,
+        here: Float[Array, "3"],
+        there: Float[Array, "3"],
+        obstacles: Cylinders,
+    ) -> Float[Array, "b 3"]:
+        """One place to pass for each building, in the order they come up on a leg.
+
+        Buildings in the way are passed on those sides that make the leg shortest. For
+        those that are not, the place lies on the leg itself, so that the number of
+        places never depends on the numbers.
+        """
+        count = obstacles.count
+        if count == 0:
+            return jnp.zeros((0, 3))
+        way = there - here
+        length = jnp.maximum(jnp.linalg.norm(way[:2]), 1e-9)
+        along = way[:2] / length
+        left = jnp.stack([-along[1], along[0]])
+        gaps = obstacles.centers - here[None, :2]
+        share = jnp.clip(gaps @ along / length, 0.0, 1.0)
+        order = jnp.argsort(share)
+        share, offset = share[order], (gaps @ left)[order]
+        kept = self.detour_margin * obstacles.safe_distances[order]
+        blocked = (jnp.abs(offset) < kept) & (share > 0.0) & (share < 1.0)
+        # Every way to choose sides; beyond a few buildings, all left or all right.
+        choices = (
+            itertools.product((1.0, -1.0), repeat=count)
+            if count <= _MOST_ENUMERATED
+            else ((1.0,) * count, (-1.0,) * count)
+        )
+        sides = jnp.array(list(choices))
+        aside = jnp.where(blocked[None], offset[None] + sides * kept[None], 0.0)
+        ends = ((0, 0), (1, 1))
+        steps = jnp.diff(jnp.pad(share * length, (1, 1)).at[-1].set(length))
+        turns = jnp.diff(jnp.pad(aside, ends), axis=1)
+        shortest = jnp.argmin(jnp.sum(jnp.hypot(steps[None], turns), axis=1))
+        places = here[None] + share[:, None] * way[None]
+        return places.at[:, :2].add(aside[shortest][:, None] * left[None])
+
     def schedule(
         self,
         route: Float[Array, "k n"],
+        waiting: int | None,
         channel: Channel,
         data_required: Scalar | None,
         final_time_range: Float[Array, "2"],
@@ -64,15 +119,15 @@ class GuessPlan(eqx.Module):
 
         **Arguments:**
 
-        - `route`: states to visit, start and goal, and the place to wait between them
-            if data are required.
+        - `route`: states to visit, start and goal included.
+        - `waiting`: which of them is the place to wait, if data are required.
         """
         places = route[:, :3]
         lengths = jnp.linalg.norm(jnp.diff(places, axis=0), axis=1)
         legs = jnp.concatenate([jnp.zeros(1), lengths / self.cruise_speed])
         moving = jnp.sum(legs)
         shortest, longest = final_time_range
-        if data_required is None:
+        if waiting is None:
             wait = jnp.zeros(())
             total = jnp.clip(moving, shortest, longest)
         else:
@@ -84,10 +139,12 @@ class GuessPlan(eqx.Module):
             )
             missing = jnp.maximum(data_required - sent, 0.0)
             total = jnp.clip(
-                moving + missing / channel.rate(places[1]), shortest, longest
+                moving + missing / channel.rate(places[waiting]), shortest, longest
             )
             wait = jnp.maximum(total - moving, 0.0)
-        stays = jnp.zeros_like(legs).at[1:-1].set(wait)
+        stays = jnp.zeros_like(legs)
+        if waiting is not None:
+            stays = stays.at[waiting].set(wait)
         return legs * (total - wait) / jnp.where(moving > 0, moving, 1.0), stays
 
     @eqx.filter_jit

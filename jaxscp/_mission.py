@@ -1,5 +1,6 @@
 """`Mission`: a flight of the paper's kind, in its own terms."""
 
+import itertools
 import json
 from typing import NamedTuple
 
@@ -158,8 +159,9 @@ class Mission(eqx.Module):
     def guess(self, nodes: int | ArrayLike = 100) -> Trajectory:
         """Where a solve may start, as `plan` says: hover thrust along straight legs.
 
-        Without data it is the paper's straight line. With data it visits the ground
-        station and waits there until the transfer is complete.
+        Without data or buildings it is the paper's straight line. Legs lead beside the
+        buildings in their way. With data it visits the ground station and waits there
+        until the transfer is complete.
 
         **Arguments:**
 
@@ -205,18 +207,25 @@ def _figures(mission: Mission) -> _Figures:
     lower = jnp.full(12, -jnp.inf).at[2].set(floor).at[6:8].set(-tilt)
     upper = jnp.full(12, jnp.inf).at[6:8].set(tilt)
     most = jnp.concatenate([mission.limits.thrust[None], mission.limits.torque])
-    places = [mission.start, mission.goal]
+    places, waiting = [mission.start, mission.goal], None
     if mission.data_required is not None:
         wait = mission.plan.loiter_place(mission.channel, mission.altitude_floor)
         places.insert(1, wait)
-    route = jnp.stack([_at_rest(place) for place in places])
+        waiting = 1 + mission.obstacles.count
+    legs = [
+        jnp.concatenate([here[None], mission.plan.detours(here, there, mission.obstacles)])
+        for here, there in itertools.pairwise(places)
+    ]
+    route = jax.vmap(_at_rest)(jnp.concatenate([*legs, mission.goal[None]]))
     shortest, longest = mission.final_time_range
     # The schedule only makes a guess and a scale: no derivative passes through it, and
     # at a leg of no length there is none.
     legs, stays = jax.lax.stop_gradient(mission.plan).schedule(
+        jax.lax.stop_gradient(route),
+        waiting,
         *jax.lax.stop_gradient(
-            (route, mission.channel, mission.data_required, mission.final_time_range)
-        )
+            (mission.channel, mission.data_required, mission.final_time_range)
+        ),
     )
     return _Figures(
         state=(lower, upper),

@@ -61,7 +61,7 @@ class ProximalSCP(AbstractSCP):
     max_iterations: int = eqx.field(static=True, default=100)
     tolerance: float = eqx.field(static=True, default=1e-4)
     feasibility_tolerance: float = eqx.field(static=True, default=1e-5)
-    initial_weight: float = eqx.field(static=True, default=3.0)
+    initial_weight: float = eqx.field(static=True, default=10.0)
     curvature: bool = eqx.field(static=True, default=True)
     correction: bool = eqx.field(static=True, default=True)
     qp: PIQP = PIQP()

@@ -114,7 +114,7 @@ def _plan(megabytes: int | None, snr_constant: float) -> GuessPlan:
     """With b = 60 the rate is worth having only as close as allowed, for minutes."""
     if megabytes is None or snr_constant == _SNR_60_DB:
         return GuessPlan()
-    return GuessPlan(loiter_height=10.0, transit_share=0.7)
+    return GuessPlan(loiter_height=10.0)
 
 
 def _summary(urban: bool, megabytes: int | None, snr_constant: float) -> str:

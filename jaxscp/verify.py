@@ -27,6 +27,7 @@ from ._repropagation import (
     whole_flight,
 )
 from ._trajectory import Trajectory, time_grid
+from ._validation import check_precision
 from ._verification import Dense, Verification
 
 # Straying from a node by this many ranges ends the re-propagation of a whole flight.
@@ -72,8 +73,9 @@ def verify(
     - `samples`: moments of each interval to check, both its ends included, at least 2.
 
     **Raises:** `ValueError` for a trajectory that does not fit the problem, an unknown
-    hold, fewer than 2 samples, or 64-bit mode off.
+    hold, or fewer than 2 samples; `RuntimeError` if JAX is not in 64-bit mode.
     """
+    check_precision()
     nodes = _read(problem, solution, hold)
     if samples < 2:
         raise ValueError(
@@ -121,11 +123,6 @@ def _read(
     problem: OptimalControlProblem, solution: Solved | Trajectory, hold: Any
 ) -> Nodes:
     """The trajectory as NumPy arrays, checked against the problem."""
-    if jnp.result_type(float) != jnp.float64:
-        raise ValueError(
-            "jax_enable_x64 is off: verification needs 64-bit floats; call "
-            'jax.config.update("jax_enable_x64", True) first.'
-        )
     if isinstance(solution, Trajectory):
         trajectory = solution
     else:

@@ -97,6 +97,20 @@ def test_npz_holds_the_contract(solved):
         np.testing.assert_allclose(entries["state"][0, :3], mission.start, atol=1e-6)
 
 
+def test_failure_is_reported_with_its_files(tmp_path, capsys):
+    outputs = ("--json", tmp_path / "a.json", "--save", tmp_path / "a.npz")
+    impossible = ("--set", "final_time_range=[1, 5]")
+    assert main([*QUICK, *impossible, *map(str, outputs), "--quiet"]) == 1
+    output = capsys.readouterr()
+    assert output.out == ""
+    assert output.err.startswith("free-flight: ")
+    assert sorted(os.listdir(tmp_path)) == ["a.json", "a.npz"]
+    report = json.loads((tmp_path / "a.json").read_text())
+    assert set(report) == KEYS
+    assert report["converged"] is False
+    assert report["status"] != "converged"
+
+
 def test_saved_file_verifies(solved, capsys):
     assert main(["verify", str(solved[1] / "a.npz")]) == 0
     assert "free-flight" in capsys.readouterr().out
@@ -138,7 +152,7 @@ def test_foreign_files_are_refused(tmp_path, capsys):
         (["free-flight", "--set", "vehicle.mass="], ["vehicle.mass", "JSON"]),
         (["free-flight", "--set", "vehicle.mass"], ["vehicle.mass", "PATH=JSON"]),
         (["free-flight", "--set", "start=[0, 0]"], ["start", "(2,)"]),
-        (["urban-flight", "--set", "start=[190, 200, 20]"], ["building"]),
+        (["urban-flight", "--set", "start=[190, 200, 20]"], ["start", "safe distance"]),
         (["free-flight", "--nodes", "1"], ["nodes", "'1'"]),
         (["free-flight", "--nodes", "ten"], ["nodes", "'ten'"]),
         (["free-flight", "--method", "newton"], ["newton", "proximal", "paper"]),
@@ -174,7 +188,11 @@ def test_output_may_be_a_device(capsys):
     assert not os.path.isfile(os.devnull)
 
 
-@pytest.mark.parametrize("terminal", [False, True])
+@pytest.mark.parametrize(
+    # Progress is part of what is compiled, so showing it takes a compilation more.
+    "terminal",
+    [False, pytest.param(True, marks=pytest.mark.slow)],
+)
 def test_progress_is_for_terminals(terminal, capsys, monkeypatch):
     monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)

@@ -48,7 +48,8 @@ def test_verification(name):
     result = verify(problem, solution)
     assert result.verified, str(result)
     assert result.objective == pytest.approx(float(solution.objective), rel=1e-6)
-    np.testing.assert_array_less(result.flight_error, 1e-4)
+    assert result.flight_error is not None
+    assert np.max(result.flight_error) < 1e-4
 
 
 def test_minimum_energy_trajectory_and_costates():
@@ -63,13 +64,18 @@ def test_minimum_energy_trajectory_and_costates():
         trajectory.states[:, 1], 6 * d / duration * s * (1 - s), atol=1e-5
     )
     acceleration = 6 * d / duration**2 * (1 - 2 * s)
-    np.testing.assert_allclose(trajectory.controls[:, 0], acceleration, atol=1e-4)
+    np.testing.assert_allclose(trajectory.controls[:, 0], acceleration, atol=1e-3)
     # u^2 + p v + q u is least at u = -q / 2, and q' = -p: what one more metre, or metre
     # per second, at a node would add to the cost.
     costates = solution.multipliers.dynamics
     p = -24 * d / duration**3
     np.testing.assert_allclose(costates[:, 0], p, rtol=1e-4)
-    np.testing.assert_allclose(costates[:, 1], -2 * acceleration[1:], atol=1e-3)
+    np.testing.assert_allclose(costates[:, 1], -2 * acceleration[1:], atol=2e-3)
+    # Raising what is fixed at an end changes the cost by minus its multiplier.
+    ends = solution.multipliers.state
+    q = 12 * d / duration**2
+    np.testing.assert_allclose(ends[-1], [p, q], rtol=1e-3)
+    np.testing.assert_allclose(ends[0], [-p, q], rtol=1e-3)
 
 
 def test_minimum_time_trajectory_and_costates():
@@ -124,10 +130,13 @@ def test_bryson_denham_acceleration():
     exact = -2 / (3 * limit) * ramp
     np.testing.assert_allclose(solution.trajectory.controls[:, 0], exact, atol=0.1)
     assert np.max(solution.trajectory.states[:, 0]) <= limit + 1e-6
-    resting = np.abs(t - 0.5) <= 0.5 - 3 * limit + 1e-9
-    # Only touching pushes back.
     push = np.asarray(solution.multipliers.state[:, 0])
-    assert np.all(np.abs(push[~resting]) < 1e-2 * np.max(np.abs(push)))
+    touching = np.abs(t - 0.5) <= 0.5 - 3 * limit + 1e-9
+    inner = (t > 0) & (t < 1)
+    np.testing.assert_allclose(push[inner & ~touching], 0, atol=1e-2)
+    # The cost 4 / (9 l) falls with the limit; starting nearer to it is half a descent.
+    assert np.sum(push[inner]) == pytest.approx(4 / (9 * limit**2), rel=1e-3)
+    assert push[0] == pytest.approx(-2 / (9 * limit**2), rel=1e-3)
 
 
 def test_a_warm_start_stays_where_it_is():

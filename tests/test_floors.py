@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parents[1] / "jaxscp"
 # by the empty one.
 FLOORS = (
     {"_types", "_status", "_records", "plot._style"},
-    {"_bounds", "_hold", "_qp", "models._parameters", "models._smooth"},
+    {"_bounds", "_hold", "_qp", "_packed", "models._parameters", "models._smooth"},
     {"_problem", "models.systems", "models.limits"},
     {"models.channel", "models.obstacles", "models.quadrotor"},
     {"_trajectory", "models", "textbook"},

@@ -151,10 +151,11 @@ waypoints = st.lists(
 def test_a_guess_keeps_its_ends_and_its_hull(points, final_time):
     points = array(points)
     guess = through_waypoints(plane(), points, nodes=23, final_time=final_time)
-    np.testing.assert_allclose(guess.states[0], points[0], atol=1e-9)
-    np.testing.assert_allclose(guess.states[-1], points[-1], atol=1e-9)
-    assert np.all(guess.states >= points.min(axis=0) - 1e-9)
-    assert np.all(guess.states <= points.max(axis=0) + 1e-9)
+    states = np.asarray(guess.states)
+    np.testing.assert_allclose(states[0], points[0], atol=1e-9)
+    np.testing.assert_allclose(states[-1], points[-1], atol=1e-9)
+    assert np.all(states >= points.min(axis=0) - 1e-9)
+    assert np.all(states <= points.max(axis=0) + 1e-9)
 
 
 @pytest.mark.parametrize(

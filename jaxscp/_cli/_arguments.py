@@ -7,6 +7,10 @@ from typing import Any, NoReturn
 METHODS = ("proximal", "paper")
 
 
+class InputError(Exception):
+    """A wrong argument, value or file; its text says what to change."""
+
+
 class Parser(argparse.ArgumentParser):
     """Reports a wrong argument in one line, without the usage before it."""
 

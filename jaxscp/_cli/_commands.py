@@ -14,13 +14,16 @@ import jax
 from .. import _files, missions as catalogue
 from .._hold import ZeroOrderHold
 from .._paper import PaperSCP
+from .._problem import OptimalControlProblem
 from .._proximal import ProximalSCP
 from .._solution import Solution
 from .._solve import solve as solve_problem
 from .._trajectory import Trajectory
+from .._validation import check_guess, check_problem
 from .._verification import Verification
 from ..missions import Mission
 from ..verify import verify as verify_solution
+from ._arguments import InputError
 from ._report import as_json, progress_line, table
 from ._timing import CompileClock, process_age
 
@@ -39,7 +42,10 @@ def missions(arguments: argparse.Namespace) -> int:
 
 def verify(arguments: argparse.Namespace) -> int:
     """Check a saved solution independently."""
-    mission, trajectory = _files.load(arguments.file)
+    try:
+        mission, trajectory = _files.load(arguments.file)
+    except ValueError as error:
+        raise InputError(error) from error
     result = verify_solution(mission.problem(), trajectory, hold=ZeroOrderHold())
     print(f"{arguments.file}: {mission.name}")
     print(result)
@@ -48,17 +54,21 @@ def verify(arguments: argparse.Namespace) -> int:
 
 def solve(arguments: argparse.Namespace) -> int:
     """Solve a mission, verify the solution and write what was asked for."""
-    imported = process_age()
-    for option in ("json", "save", "plot"):
-        if (path := getattr(arguments, option)) is not None:
-            _files.check_writable(f"--{option}", path)
-    if arguments.plot is not None:
-        _check_format(arguments.plot)
-    mission = catalogue.replace_many(
-        catalogue.get(arguments.mission), dict(arguments.changes)
-    )
-    solution, guess, seconds = _timed_solve(mission, arguments)
-    seconds = {"import": imported, **seconds}
+    seconds = {"import": process_age()}
+    try:
+        _check_outputs(arguments)
+        mission = catalogue.replace_many(
+            catalogue.get(arguments.mission), dict(arguments.changes)
+        )
+        problem, guess = mission.problem(), mission.guess(nodes=arguments.nodes)
+        # `solve` would say the same. Asked here, what it raises later is a fault of the
+        # program, and shows as one.
+        check_problem(problem)
+        check_guess(problem, guess)
+    except ValueError as error:
+        raise InputError(error) from error
+    solution, spent = _timed_solve(problem, guess, arguments)
+    seconds |= spent
     verification = verify_solution(solution.problem, solution)
     _write(arguments, mission, solution, guess, verification, seconds)
     good = bool(solution.converged) and verification.verified
@@ -70,21 +80,19 @@ def solve(arguments: argparse.Namespace) -> int:
 
 
 def _timed_solve(
-    mission: Mission, arguments: argparse.Namespace
-) -> tuple[Solution, Trajectory, dict[str, float]]:
-    """The solution, the guess it started from, and seconds to compile and to solve."""
+    problem: OptimalControlProblem, guess: Trajectory, arguments: argparse.Namespace
+) -> tuple[Solution, dict[str, float]]:
+    """The solution, converged or not, and the seconds to compile and to solve."""
     method = {"proximal": ProximalSCP, "paper": PaperSCP}[arguments.method]()
     terminal = sys.stdout.isatty() and sys.stderr.isatty()
     progress = _show_progress if terminal and not arguments.quiet else None
-    problem = mission.problem()
-    guess = mission.guess(nodes=arguments.nodes)
     began = time.perf_counter()
     with CompileClock() as compiling:
         solution = solve_problem(problem, guess, method, progress=progress, throw=False)
         jax.block_until_ready(eqx.filter(solution, eqx.is_array))
     total = time.perf_counter() - began
     seconds = {"compile": compiling.seconds, "solve": total - compiling.seconds}
-    return solution, guess, seconds
+    return solution, seconds
 
 
 def _show_progress(row: dict[str, Any]) -> None:
@@ -117,6 +125,14 @@ def _write(
 
 def _format(path: str) -> str:
     return Path(path).suffix.removeprefix(".").lower()
+
+
+def _check_outputs(arguments: argparse.Namespace) -> None:
+    for option in ("json", "save", "plot"):
+        if (path := getattr(arguments, option)) is not None:
+            _files.check_writable(f"--{option}", path)
+    if arguments.plot is not None:
+        _check_format(arguments.plot)
 
 
 def _check_format(path: str) -> None:

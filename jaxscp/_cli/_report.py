@@ -77,9 +77,9 @@ def table(
     }
     lines = [f"{name:15} {text}" for name, text in rows.items()]
     for name, worst in verification.violations.items():
+        where = "at nodes" if name in verification.node_violations else "between nodes"
         lines.append(
-            f"{'exceeded':15} {name} by {worst.value:.2e} {worst.unit} "
-            f"at {worst.time:.2f} s"
+            f"{where:15} {name} broken by {worst.value:.2e} {worst.unit} at {worst.time:.2f} s"
         )
     return "\n".join(lines)
 
@@ -105,9 +105,9 @@ def progress_line(row: dict[str, Any]) -> str:
     line = " ".join(f"{values[name]:>{width}{form}}" for name, form in columns.items())
     if values["iteration"] > 1:
         return line
-    headings = ("iteration", "objective", "penalized", "predicted", "actual")
-    headings += ("ratio", "radius", "defect", "buffer")
-    return " ".join(f"{heading:>{width}}" for heading in headings) + "\n" + line
+    # "penalized_cost" and its like are cut to their first words.
+    headings = " ".join(f"{name.partition('_')[0]:>{width}}" for name in columns)
+    return f"{headings}\n{line}"
 
 
 def status_name(status: Status) -> str:

@@ -26,12 +26,12 @@ class CompileClock:
     def __exit__(self, *exception: object) -> None:
         jax.monitoring.unregister_event_duration_listener(self._record)
 
-    def _record(self, event: str, duration: float, **details: Any) -> None:
+    def _record(self, event: str, duration_secs: float, **details: Any) -> None:
         del details
         if not event.startswith(COMPILATION):
             return
         end = time.perf_counter()
-        begin = end - duration
+        begin = end - duration_secs
         # A function's tracing contains that of the functions it calls: a later span
         # swallows the earlier ones it overlaps, so that no second counts twice.
         while self._spans and self._spans[-1][1] > begin:

@@ -31,15 +31,19 @@ def mission(
     **Returns:** a `Figure`; `figure.savefig("file.pdf")` writes it.
     """
     figure = Figure(figsize=(12.0, 9.0), layout="constrained")
-    left, right = figure.add_gridspec(1, 2, width_ratios=(1.15, 1.0))
+    columns = figure.add_gridspec(1, 2, width_ratios=(1.15, 1.0))
+    places, series = columns[0].subgridspec(2, 1), columns[1].subgridspec(5, 1)
     route = dense(solution)
-    places, series = left.subgridspec(2, 1), right.subgridspec(5, 1)
     above = figure.add_subplot(places[0])
     top_view(above, mission, route, guess)
     above.legend(loc="upper left", fontsize="small")
     space = cast(Axes3D, figure.add_subplot(places[1], projection="3d"))
     isometric(space, mission, route, guess)
-    panels = series.subplots(sharex=True)
+    first = figure.add_subplot(series[0])
+    panels = [first]
+    panels += [figure.add_subplot(series[row], sharex=first) for row in range(1, 5)]
+    for ax in panels:
+        ax.label_outer()
     _speed(panels[0], route)
     _tilt(panels[1], mission, route)
     _thrust(panels[2], mission, solution)

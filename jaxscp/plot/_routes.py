@@ -1,5 +1,7 @@
 """Where the vehicle flies: from above, and in space."""
 
+from typing import Any
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle
@@ -9,8 +11,13 @@ from .._trajectory import Trajectory
 from ..missions import Mission
 from ._style import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE
 
-GUESS = {"color": BLACK, "linestyle": ":", "linewidth": 1.2, "label": "initial guess"}
-ROUTE = {"color": BLUE, "linewidth": 1.8, "label": "trajectory"}
+GUESS: dict[str, Any] = {
+    "color": BLACK,
+    "linestyle": ":",
+    "linewidth": 1.2,
+    "label": "initial guess",
+}
+ROUTE: dict[str, Any] = {"color": BLUE, "linewidth": 1.8, "label": "trajectory"}
 
 
 def top_view(
@@ -87,7 +94,7 @@ def _buildings(mission: Mission) -> list[tuple[tuple[float, float], float]]:
     ]
 
 
-def _landmarks(mission: Mission) -> list[tuple[np.ndarray, dict]]:
+def _landmarks(mission: Mission) -> list[tuple[np.ndarray, dict[str, Any]]]:
     """Start, goal and ground station: a position [m] and how to mark it."""
     marks = (
         (mission.start, "o", GREEN, "start"),
