@@ -2,7 +2,6 @@
 
 from . import missions as missions
 from . import models as models
-from . import plot as plot
 from . import textbook as textbook
 from ._bounds import Bounds as Bounds
 from ._discretization import Discretization as Discretization

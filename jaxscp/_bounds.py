@@ -116,12 +116,18 @@ class Bounds(eqx.Module):
         """
         return 0.5 * (self.lower + self.upper)
 
-    def clip(self, value: Float[Array, "*#shape"]) -> Float[Array, "*shape"]:
-        """The nearest value within the limits; fixed entries take their target."""
-        inside = jnp.clip(value, self.lower, self.upper)
-        return jnp.where(self.is_fixed, self.target, inside)
+    def clip(self, value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
+        """The nearest value within the limits; fixed entries take their target.
+
+        Leading axes of `value` beyond those of the bounds are a batch.
+        """
+        low, high = (
+            jnp.broadcast_to(jnp.where(self.is_fixed, self.target, limit), value.shape)
+            for limit in (self.lower, self.upper)
+        )
+        return jnp.clip(value, low, high)
 
 
 def _inexact(value: ArrayLike) -> Array:
-    array = jnp.asarray(value)
-    return array if jnp.issubdtype(array.dtype, jnp.inexact) else array.astype(float)
+    # A weakly typed array, as of a Python number, would compile anew.
+    return jnp.asarray(value, float)

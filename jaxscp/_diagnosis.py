@@ -22,7 +22,7 @@ class Violations(eqx.Module):
     - `scales`: of the states, the path constraints and the integrals.
     """
 
-    dynamics: Float[Array, "N-1 n"]
+    dynamics: Float[Array, "I n"]
     path_constraints: dict[str, Float[Array, "N _"]]
     integrals: dict[str, Float[Array, ""]]
     scales: tuple[

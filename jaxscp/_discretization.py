@@ -72,11 +72,11 @@ class Jacobian(eqx.Module):
     `None` stands for a block that is zero by structure.
     """
 
-    left_state: Float[Array, "N-1 r n"]
-    left_control: Float[Array, "N-1 r m"]
-    time: Float[Array, "N-1 r"]
-    right_state: Float[Array, "N-1 r n"] | None = None
-    right_control: Float[Array, "N-1 r m"] | None = None
+    left_state: Float[Array, "I r n"]
+    left_control: Float[Array, "I r m"]
+    time: Float[Array, "I r"]
+    right_state: Float[Array, "I r n"] | None = None
+    right_control: Float[Array, "I r m"] | None = None
 
 
 class Intervals(eqx.Module):
@@ -87,8 +87,8 @@ class Intervals(eqx.Module):
         cost (last column).
     """
 
-    next_state: Float[Array, "N-1 n"]
-    increments: Float[Array, "N-1 q+1"]
+    next_state: Float[Array, "I n"]
+    increments: Float[Array, "I r"]
 
 
 class IntervalJacobians(eqx.Module):
@@ -100,17 +100,19 @@ class IntervalJacobians(eqx.Module):
 
 def integrand_rates(
     problem: OptimalControlProblem, t: Scalar, x: Float[Array, " n"], u: Array
-) -> Float[Array, " q+1"]:
+) -> Float[Array, " r"]:
     """Integrands of all integrals and the running cost, at one moment."""
     rates = [integral.integrand(t, x, u) for integral in problem.integrals.values()]
-    return jnp.stack([jnp.reshape(r, ()) for r in [*rates, problem.running_cost(t, x, u)]])
+    return jnp.stack(
+        [jnp.reshape(r, ()) for r in [*rates, problem.running_cost(t, x, u)]]
+    )
 
 
 def propagate(
     problem: OptimalControlProblem,
     discretization: Discretization,
     substeps: Array | int,
-    grid: tuple[Float[Array, " N-1"], Float[Array, " N-1"]],
+    grid: tuple[Float[Array, " I"], Float[Array, " I"]],
     states: Float[Array, "N n"],
     controls: Float[Array, "N m"],
     final_time: Scalar,
@@ -138,7 +140,7 @@ def linearize(
     problem: OptimalControlProblem,
     discretization: Discretization,
     substeps: Array | int,
-    grid: tuple[Float[Array, " N-1"], Float[Array, " N-1"]],
+    grid: tuple[Float[Array, " I"], Float[Array, " I"]],
     states: Float[Array, "N n"],
     controls: Float[Array, "N m"],
     final_time: Scalar,

@@ -222,9 +222,7 @@ def try_step(
     return Trial(solution, variables, residuals, cost, error)
 
 
-def _needed_substeps(
-    settings: Discretization, substeps: Array, error: Scalar
-) -> Array:
+def _needed_substeps(settings: Discretization, substeps: Array, error: Scalar) -> Array:
     """As many as keep the local error within its tolerance, for a method of order 4."""
     factor = 1.1 * (error / settings.tolerance) ** 0.25
     # Fewer only if it is far fewer: with the substeps the penalized cost changes, a little.

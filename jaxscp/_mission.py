@@ -213,7 +213,9 @@ def _figures(mission: Mission) -> _Figures:
         places.insert(1, wait)
         waiting = 1 + mission.obstacles.count
     legs = [
-        jnp.concatenate([here[None], mission.plan.detours(here, there, mission.obstacles)])
+        jnp.concatenate(
+            [here[None], mission.plan.detours(here, there, mission.obstacles)]
+        )
         for here, there in itertools.pairwise(places)
     ]
     route = jax.vmap(_at_rest)(jnp.concatenate([*legs, mission.goal[None]]))

@@ -15,7 +15,7 @@ class PerConstraint(eqx.Module):
     defects = 0, g <= 0, and integral minus its active bound.
     """
 
-    dynamics: Float[Array, "N-1 n"]
+    dynamics: Float[Array, "I n"]
     path: Float[Array, "N p"]
     integral: Float[Array, " q"]
 
@@ -28,7 +28,7 @@ class Model(eqx.Module):
 
     residuals: Residuals
     derivatives: Derivatives
-    hessian: Float[Array, "N n+m n+m"]
+    hessian: Float[Array, "N w w"]
 
     @property
     def gradient(self) -> Variables:
@@ -39,7 +39,9 @@ class Model(eqx.Module):
         states = jnp.zeros((self.hessian.shape[0], cost.left_state.shape[2]))
         controls = jnp.zeros((free, cost.left_control.shape[2]))
         states = states.at[:-1].add(cost.left_state[:, -1])
-        controls = controls.at[: cost.left_control.shape[0]].add(cost.left_control[:, -1])
+        controls = controls.at[: cost.left_control.shape[0]].add(
+            cost.left_control[:, -1]
+        )
         if cost.right_state is not None:
             states = states.at[1:].add(cost.right_state[:, -1])
         if cost.right_control is not None:
@@ -88,9 +90,7 @@ def integral_limits(
     return lower / scaling.integral, upper / scaling.integral
 
 
-def violations(
-    residuals: Residuals, limits: tuple[Array, Array]
-) -> PerConstraint:
+def violations(residuals: Residuals, limits: tuple[Array, Array]) -> PerConstraint:
     """How far each scaled constraint is from being met, never negative."""
     totals = residuals.totals
     return PerConstraint(

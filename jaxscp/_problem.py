@@ -99,8 +99,9 @@ class OptimalControlProblem(eqx.Module):
         self.final_state = free if final_state is None else final_state
         self.final_time = final_time
         self.running_cost, self.terminal_cost = running_cost, terminal_cost
-        self.path_constraints = dict(path_constraints or {})
-        self.integrals = dict(integrals or {})
+        # Sorted, as JAX returns dictionaries: one order of the rows everywhere.
+        self.path_constraints = dict(sorted((path_constraints or {}).items()))
+        self.integrals = dict(sorted((integrals or {}).items()))
         self.state_names = tuple(state_names) or _indexed("x", state)
         self.control_names = tuple(control_names) or _indexed("u", control)
         self.units = tuple(sorted(dict(units).items()))

@@ -152,7 +152,9 @@ class ProximalSCP(AbstractSCP):
                 ),
                 weights=weights,
                 expected=expected,
-                best=dataclasses.replace(tree_where(better, trial, best), solution=taken),
+                best=dataclasses.replace(
+                    tree_where(better, trial, best), solution=taken
+                ),
             )
 
         nowhere = Trial(

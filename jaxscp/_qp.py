@@ -52,7 +52,9 @@ class QP:
     def is_finite(self) -> bool:
         """Whether all numbers but the limits are finite."""
         matrices = (self.P.data, self.A.data, self.G.data)
-        return all(np.isfinite(part).all() for part in (*matrices, self.c, self.b, self.h))
+        return all(
+            np.isfinite(part).all() for part in (*matrices, self.c, self.b, self.h)
+        )
 
 
 @dataclasses.dataclass

@@ -35,8 +35,8 @@ class Scaling(eqx.Module):
     def move(self, variables: Variables, step: Variables) -> Variables:
         """Variables after a scaled step."""
         return Variables(
-            variables.states + self.state * step.states,
-            variables.controls + self.control * step.controls,
+            variables.states + self.state[None] * step.states,
+            variables.controls + self.control[None] * step.controls,
             variables.final_time + self.time * step.final_time,
         )
 
@@ -44,9 +44,9 @@ class Scaling(eqx.Module):
         rates = jnp.append(self.integral, self.objective)
         return Residuals(
             objective=residuals.objective / self.objective,
-            defects=residuals.defects / self.state,
-            path=residuals.path / self.path,
-            increments=residuals.increments / rates,
+            defects=residuals.defects / self.state[None],
+            path=residuals.path / self.path[None],
+            increments=residuals.increments / rates[None],
         )
 
     def derivatives(self, derivatives: Derivatives) -> Derivatives:
@@ -61,11 +61,11 @@ class Scaling(eqx.Module):
         )
 
     def node_derivatives(self, nodes: NodeDerivatives) -> NodeDerivatives:
-        path = self.path[:, None]
+        path = self.path[None, :, None]
         return NodeDerivatives(
-            path_state=nodes.path_state * self.state / path,
-            path_control=nodes.path_control * self.control / path,
-            path_time=nodes.path_time * self.time / self.path,
+            path_state=nodes.path_state * self.state[None, None] / path,
+            path_control=nodes.path_control * self.control[None, None] / path,
+            path_time=nodes.path_time * self.time / self.path[None],
             terminal_state=nodes.terminal_state * self.state / self.objective,
             terminal_time=nodes.terminal_time * self.time / self.objective,
         )
@@ -73,18 +73,18 @@ class Scaling(eqx.Module):
     def curvature(self, blocks: Float[Array, "N w w"]) -> Float[Array, "N w w"]:
         """Blocks of a scaled function's Hessian by (x, u), in scaled variables."""
         sizes = jnp.concatenate([self.state, self.control])
-        return blocks * sizes[:, None] * sizes
+        return blocks * jnp.outer(sizes, sizes)[None]
 
     def _jacobian(self, jacobian: Jacobian, rows: Float[Array, " r"]) -> Jacobian:
-        rows = rows[:, None]
-
         def scaled(block, columns):
-            return None if block is None else block * columns / rows
+            if block is None:
+                return None
+            return block * columns[None, None] / rows[None, :, None]
 
         return Jacobian(
             left_state=scaled(jacobian.left_state, self.state),
             left_control=scaled(jacobian.left_control, self.control),
-            time=jacobian.time * self.time / rows[:, 0],
+            time=jacobian.time * self.time / rows[None],
             right_state=scaled(jacobian.right_state, self.state),
             right_control=scaled(jacobian.right_control, self.control),
         )

@@ -13,6 +13,7 @@ from ._status import Status
 from ._transcription import Transcription, Variables
 from ._types import Array
 
+
 class AbstractSCP(eqx.Module):
     """A method: how a reference becomes the next one.
 

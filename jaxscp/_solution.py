@@ -27,7 +27,7 @@ class Multipliers(eqx.Module):
         with the same signs.
     """
 
-    dynamics: Float[Array, "N-1 n"]
+    dynamics: Float[Array, "I n"]
     path_constraints: dict[str, Float[Array, "N _"]]
     integrals: dict[str, Scalar]
     state: Float[Array, "N n"]

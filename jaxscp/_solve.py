@@ -134,8 +134,8 @@ def _solution(
         integrals=dict(zip(names, totals, strict=True)),
         multipliers=_multipliers(transcription, state),
         violations=Violations(
-            dynamics=iterate.residuals.defects * scaling.state,
-            path_constraints=_named(transcription, broken.path * scaling.path),
+            dynamics=iterate.residuals.defects * scaling.state[None],
+            path_constraints=_named(transcription, broken.path * scaling.path[None]),
             integrals=dict(zip(names, missed, strict=True)),
             scales=(
                 scaling.state,
@@ -166,10 +166,10 @@ def _multipliers(transcription: Transcription, state: SCPState) -> Multipliers:
     control: Float[Array, "N m"] = jnp.pad(solution.control, ((0, missing), (0, 0)))
     return Multipliers(
         # A defect is the next node minus the flow: pushing the flow is its negative.
-        dynamics=-scaled.dynamics * size / scaling.state,
-        path_constraints=_named(transcription, scaled.path * size / scaling.path),
+        dynamics=-scaled.dynamics * size / scaling.state[None],
+        path_constraints=_named(transcription, scaled.path * size / scaling.path[None]),
         integrals=dict(zip(transcription.problem.integrals, integral, strict=True)),
-        state=solution.state * size / scaling.state,
-        control=control * size / scaling.control,
+        state=solution.state * size / scaling.state[None],
+        control=control * size / scaling.control[None],
         final_time=solution.final_time * size / scaling.time,
     )

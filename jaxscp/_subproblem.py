@@ -89,6 +89,7 @@ def step_limits(
     problem = transcription.problem
 
     def relative(limits, origin, scale):
+        scale = jnp.broadcast_to(scale, origin.shape)
         return tuple((limit - origin) / scale for limit in limits)
 
     def ends(bounds: Bounds, shape: tuple[int, ...]):
@@ -116,7 +117,9 @@ def solve_subproblem(
     Where the structure is not relaxed and the dynamics cannot be met within the limits,
     the relaxed one is solved instead.
     """
-    leaves, tree = jax.tree.flatten(SubproblemData(model, model.gradient, prices, limits))
+    leaves, tree = jax.tree.flatten(
+        SubproblemData(model, model.gradient, prices, limits)
+    )
     shapes = tuple(leaf.shape for leaf in leaves)
     outline = SubproblemSolution.none(structure)
     answer, unravel = ravel_pytree(outline)

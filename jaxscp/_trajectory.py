@@ -1,7 +1,5 @@
 """`Trajectory`: nodal values over a time grid, and the guesses a solve starts from."""
 
-from collections.abc import Sequence
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -100,7 +98,7 @@ def through_waypoints(
     waypoints: ArrayLike,
     *,
     nodes: int | ArrayLike = 50,
-    loiter: ArrayLike | Sequence[float] | None = None,
+    loiter: ArrayLike | None = None,
     final_time: ArrayLike | None = None,
     control: ArrayLike | None = None,
 ) -> Trajectory:
@@ -138,7 +136,9 @@ def through_waypoints(
         )
     steps = jnp.abs(jnp.diff(points, axis=0))
     largest = jnp.max(steps, axis=0)
-    lengths = jnp.linalg.norm(steps / jnp.where(largest > 0, largest, 1.0)[None], axis=1)
+    lengths = jnp.linalg.norm(
+        steps / jnp.where(largest > 0, largest, 1.0)[None], axis=1
+    )
     # Waypoints that all coincide share the time evenly.
     lengths = jnp.where(jnp.sum(lengths) > 0, lengths, 1.0)
     legs = transit * lengths / jnp.sum(lengths)
@@ -146,9 +146,7 @@ def through_waypoints(
     knots = jnp.stack([arrivals, arrivals + stays], axis=1).ravel()
     times = total * fractions
     held = jnp.repeat(points, 2, axis=0)
-    states = jnp.stack(
-        [jnp.interp(times, knots, column) for column in held.T], axis=1
-    )
+    states = jnp.stack([jnp.interp(times, knots, column) for column in held.T], axis=1)
     return Trajectory(
         fractions=fractions,
         states=states,
@@ -161,11 +159,17 @@ def _boundary(problem: OptimalControlProblem, side: str) -> Float[Array, " n"]:
     """Middle of a boundary's range, its finite end if it has one, else NaN."""
     bounds = getattr(problem, side)
     low, high = bounds.lower, bounds.upper
-    one_sided = jnp.where(jnp.isfinite(low), low, jnp.where(jnp.isfinite(high), high, jnp.nan))
-    return jnp.where(jnp.isfinite(low) & jnp.isfinite(high), 0.5 * (low + high), one_sided)
+    one_sided = jnp.where(
+        jnp.isfinite(low), low, jnp.where(jnp.isfinite(high), high, jnp.nan)
+    )
+    return jnp.where(
+        jnp.isfinite(low) & jnp.isfinite(high), 0.5 * (low + high), one_sided
+    )
 
 
-def _flight_time(problem: OptimalControlProblem, final_time: ArrayLike | None) -> Scalar:
+def _flight_time(
+    problem: OptimalControlProblem, final_time: ArrayLike | None
+) -> Scalar:
     bounds = problem.final_time
     if final_time is not None:
         return jnp.asarray(final_time, float)

@@ -40,9 +40,9 @@ class Residuals(eqx.Module):
     """
 
     objective: Scalar
-    defects: Float[Array, "N-1 n"]
+    defects: Float[Array, "I n"]
     path: Float[Array, "N p"]
-    increments: Float[Array, "N-1 q+1"]
+    increments: Float[Array, "I r"]
 
     @property
     def totals(self) -> Float[Array, " q"]:
@@ -93,7 +93,7 @@ class Transcription(eqx.Module):
         return self.discretization.control_nodes(self.nodes)
 
     @property
-    def grid(self) -> tuple[Float[Array, " N-1"], Float[Array, " N-1"]]:
+    def grid(self) -> tuple[Float[Array, " I"], Float[Array, " I"]]:
         """Normalized start and width of each interval."""
         return self.fractions[:-1], jnp.diff(self.fractions)
 
@@ -181,9 +181,9 @@ class Transcription(eqx.Module):
     def curvature(
         self,
         variables: Variables,
-        rate_weights: Float[Array, " q+1"],
+        rate_weights: Float[Array, " r"],
         path_weights: Float[Array, "N p"],
-    ) -> Float[Array, "N n+m n+m"]:
+    ) -> Float[Array, "N w w"]:
         """Hessian of the weighted integrands and path constraints, node by node.
 
         The second derivative of the Lagrangian but for the dynamics' part: integrands
@@ -210,10 +210,13 @@ class Transcription(eqx.Module):
 
             z = jnp.concatenate([x, u])
             share = jnp.concatenate(
-                [jnp.broadcast_to(of_state, x.shape), jnp.broadcast_to(of_control, u.shape)]
+                [
+                    jnp.broadcast_to(of_state, x.shape),
+                    jnp.broadcast_to(of_control, u.shape),
+                ]
             )
             root = jnp.sqrt(final_time * share)
-            hessian = jax.hessian(rates)(z) * root[:, None] * root
+            hessian = jax.hessian(rates)(z) * jnp.outer(root, root)
             return hessian + jax.hessian(path)(z) if weights.size else hessian
 
         blocks = jax.vmap(block)(

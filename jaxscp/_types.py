@@ -3,22 +3,27 @@
 =====  ==========================================================
 Axis   Meaning
 =====  ==========================================================
-`N`    nodes of the time grid; `N-1` intervals lie between them
+`N`    nodes of the time grid
+`I`    intervals between them, N - 1
 `n`    entries of the state
 `m`    entries of the control
 `p`    entries of one path constraint
 `q`    integral constraints
+`r`    quantities accumulated along the flow: the integrals and the running cost
+`w`    state and control together, n + m
 =====  ==========================================================
 """
 
-from collections.abc import Callable
-from typing import TypeAlias
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import jax
 import numpy as np
-from jax.typing import ArrayLike
+from jax.typing import ArrayLike as JaxArrayLike
 from jaxtyping import Array, Float, PyTree
 
+# Lists are welcome too, as in NumPy.
+ArrayLike: TypeAlias = JaxArrayLike | Sequence[Any]
 Scalar: TypeAlias = Float[Array, ""]
 State: TypeAlias = Float[Array, " n"]
 Control: TypeAlias = Float[Array, " m"]
