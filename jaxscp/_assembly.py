@@ -100,9 +100,7 @@ class SubproblemSolver:
             pattern.fill(part.vector)
             for pattern, part in zip(self._patterns, (P, A, G), strict=True)
         ]
-        return QP(
-            filled[0], c, filled[1], b, filled[2], np.concatenate(h), lower, upper
-        )
+        return QP(filled[0], c, filled[1], b, filled[2], np.concatenate(h), lower, upper)
 
     def read(self, solution: QPSolution, effort: np.ndarray) -> np.ndarray:
         """The vector of a [`SubproblemSolution`][]."""

@@ -39,7 +39,7 @@ def explain(
     status: Status,
 ) -> str:
     """The status' sentence and, unless it is a success, what is wrong where."""
-    sentence = str(Status[status])
+    sentence = str(status)
     if bool(status == Status.converged):
         return sentence
     if bool(status == Status.non_finite):
@@ -100,9 +100,10 @@ def _first_non_finite(problem: OptimalControlProblem, trajectory: Trajectory) ->
             if bad.size:
                 node = int(bad[0])
                 x = np.asarray(trajectory.states[node])
+                moment = float(points[0][node])
                 return (
-                    f"First: the {what} of {name} at node {node} "
-                    f"({float(points[0][node]):.4g} s), state {np.array2string(x, precision=4)}."
+                    f"First: the {what} of {name} at node {node} ({moment:.4g} s), "
+                    f"state {np.array2string(x, precision=4)}."
                 )
     return "All functions are finite at the nodes: it happens within an interval."
 

@@ -12,7 +12,6 @@ from ._hold import AbstractHold, ZeroOrderHold
 from ._problem import OptimalControlProblem
 from ._types import Array, Float, Scalar
 
-
 # The classical Runge-Kutta method: each stage starts from the one before it.
 _NODES = np.array([0.0, 0.5, 0.5, 1.0])
 _WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
@@ -195,9 +194,7 @@ def flow_within(
     return _flow(*arguments, reach)[: problem.state_size]
 
 
-def _flow(
-    problem, discretization, substeps, span, x, left, right, final_time, reach=1.0
-):
+def _flow(problem, discretization, substeps, span, x, left, right, final_time, reach=1.0):
     """State, and integrals under `FLOW`, at the end of one interval (classical RK4)."""
     start, width = span
     size = problem.state_size

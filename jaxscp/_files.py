@@ -110,8 +110,7 @@ def load(path: str | Path) -> tuple[Mission, Trajectory]:
     rises = nodes >= 2 and time[0] == 0.0 and bool(np.all(np.diff(time) > 0))
     if not rises or not np.isclose(time[-1], final_time, rtol=1e-9, atol=0.0):
         raise ValueError(
-            f"{path}: time must rise strictly from 0 to final_time="
-            f"{float(final_time):g}."
+            f"{path}: time must rise strictly from 0 to final_time={float(final_time):g}."
         )
     return mission, Trajectory(
         fractions=jnp.asarray(time / time[-1]),

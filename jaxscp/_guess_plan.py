@@ -12,7 +12,6 @@ from .models._parameters import Numbers, optional_parameter, parameter
 from .models.channel import Channel
 from .models.obstacles import Cylinders
 
-
 # 2^8 ways to pass eight buildings.
 _MOST_ENUMERATED = 8
 

@@ -207,9 +207,8 @@ def try_step(
     both = jax.vmap(transcription.evaluate, in_axes=(None, 0))(
         variables, jnp.stack([fine, coarse])
     )
-    residuals, rough = (
-        scaling.residuals(jax.tree.map(lambda leaf: leaf[row], both)) for row in (0, 1)
-    )
+    residuals = scaling.residuals(jax.tree.map(lambda leaf: leaf[0], both))
+    rough = scaling.residuals(jax.tree.map(lambda leaf: leaf[1], both))
     difference = jnp.maximum(
         jnp.max(jnp.abs(residuals.defects - rough.defects)),
         jnp.max(jnp.sum(jnp.abs(residuals.increments - rough.increments), axis=0)),
@@ -225,7 +224,7 @@ def try_step(
 def _needed_substeps(settings: Discretization, substeps: Array, error: Scalar) -> Array:
     """As many as keep the local error within its tolerance, for a method of order 4."""
     factor = 1.1 * (error / settings.tolerance) ** 0.25
-    # Fewer only if it is far fewer: with the substeps the penalized cost changes, a little.
+    # Fewer only if it is far fewer: the penalized cost changes with them, a little.
     factor = jnp.where((factor < 1.0) & (factor > 0.5), 1.0, factor)
     factor = jnp.where(error > settings.tolerance, jnp.maximum(factor, 1.0), factor)
     factor = jnp.clip(factor, 1.0 / _MOST_GROWTH, _MOST_GROWTH)
@@ -251,11 +250,16 @@ def advance(
     state: SCPState,
     trial: Trial,
     judgement: Judgement,
-    **changed: Array,
+    *,
+    weights: PerConstraint,
+    ceiling: Scalar,
+    radius: Scalar,
+    stationary: Array,
+    iterations: Array,
 ) -> SCPState:
     """Take the step if it was accepted, and write it down either way.
 
-    `changed` are the fields of the state the method decides itself.
+    The keyword arguments are the fields of the state that each method decides itself.
     """
     accepted, old = judgement.accepted, state.iterate
     error = trial.integration_error
@@ -283,16 +287,21 @@ def advance(
         buffer=largest_buffer(broken),
         accepted=accepted.astype(float),
     )
-    fields = {
-        "iterate": iterate,
-        "solution": trial.solution,
-        "history": history,
-        "records": state.records + 1,
-        "subproblems": state.subproblems + effort.solves,
-        "qp_iterations": state.qp_iterations + effort.iterations,
-        "qp_seconds": state.qp_seconds + effort.seconds,
-    }
-    return dataclasses.replace(state, **(fields | changed))
+    return dataclasses.replace(
+        state,
+        iterate=iterate,
+        solution=trial.solution,
+        weights=weights,
+        ceiling=ceiling,
+        radius=radius,
+        history=history,
+        records=state.records + 1,
+        iterations=iterations,
+        subproblems=state.subproblems + effort.solves,
+        qp_iterations=state.qp_iterations + effort.iterations,
+        qp_seconds=state.qp_seconds + effort.seconds,
+        stationary=stationary,
+    )
 
 
 def tree_where(condition: Array, yes, no):

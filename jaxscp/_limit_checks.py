@@ -132,9 +132,7 @@ def broken_limits(
             problem, entries, g, times, allowed_path[name], problem.unit(name)
         )
         # A path constraint may bear the name of a state or control.
-        found |= {
-            f"path {key}" if key in found else key: v for key, v in broken.items()
-        }
+        found |= {f"path {key}" if key in found else key: v for key, v in broken.items()}
     return found
 
 

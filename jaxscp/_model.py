@@ -39,9 +39,7 @@ class Model(eqx.Module):
         states = jnp.zeros((self.hessian.shape[0], cost.left_state.shape[2]))
         controls = jnp.zeros((free, cost.left_control.shape[2]))
         states = states.at[:-1].add(cost.left_state[:, -1])
-        controls = controls.at[: cost.left_control.shape[0]].add(
-            cost.left_control[:, -1]
-        )
+        controls = controls.at[: cost.left_control.shape[0]].add(cost.left_control[:, -1])
         if cost.right_state is not None:
             states = states.at[1:].add(cost.right_state[:, -1])
         if cost.right_control is not None:
@@ -73,11 +71,34 @@ class Model(eqx.Module):
         )
 
 
-def convexified(blocks: Float[Array, "N w w"]) -> Float[Array, "N w w"]:
-    """The nearest positive semidefinite blocks."""
-    values, vectors = jnp.linalg.eigh(blocks)
+def convex_model(
+    transcription: Transcription,
+    scaling: Scaling,
+    point: Variables,
+    residuals: Residuals,
+    derivatives: Derivatives,
+    multipliers: PerConstraint,
+) -> Model:
+    """Linear constraints, and the Lagrangian's curvature without the dynamics'.
+
+    The Hessian is made convex node by node. That of the dynamics costs a hundred times
+    as much and did not help when made convex in this way.
+
+    **Arguments:**
+
+    - `residuals`, `derivatives`: scaled, at `point`.
+    - `multipliers`: scaled; those of the dynamics do not count.
+    """
+    rates = multipliers.integral * scaling.objective / scaling.integral
+    blocks = transcription.curvature(
+        point,
+        jnp.append(rates, 1.0),
+        multipliers.path * scaling.objective / scaling.path[None],
+    )
+    values, vectors = jnp.linalg.eigh(scaling.curvature(blocks) / scaling.objective)
     kept = jnp.maximum(values, 0.0)
-    return jnp.einsum("kij,kj,klj->kil", vectors, kept, vectors)
+    hessian = jnp.einsum("kij,kj,klj->kil", vectors, kept, vectors)
+    return Model(residuals, derivatives, hessian)
 
 
 def integral_limits(

@@ -3,6 +3,7 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from ._assembly import Prices
@@ -16,7 +17,7 @@ from ._iteration import (
     try_step,
 )
 from ._layout import Structure
-from ._model import Model, PerConstraint, convexified, integral_limits, penalized_cost
+from ._model import Model, PerConstraint, convex_model, integral_limits, penalized_cost
 from ._qp import PIQP
 from ._scp import AbstractSCP
 from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
@@ -90,7 +91,16 @@ class PaperSCP(AbstractSCP):
         state = dataclasses.replace(state, iterate=iterate, finite=is_finite(iterate))
         limits = integral_limits(transcription, state.scaling)
         weights = self._weights(transcription, state)
-        model = self._model(transcription, state)
+        # The paper's model has the cost's own curvature and nobody else's.
+        none = jax.tree.map(jnp.zeros_like, weights)
+        model = convex_model(
+            transcription,
+            state.scaling,
+            iterate.variables,
+            iterate.residuals,
+            iterate.derivatives,
+            none,
+        )
         solution = self._solve(transcription, state, model, weights)
         reference = penalized_cost(iterate.residuals, limits, weights)
         expected = penalized_cost(model.predict(solution.step), limits, weights)
@@ -106,6 +116,7 @@ class PaperSCP(AbstractSCP):
             trial,
             judgement,
             weights=weights,
+            ceiling=state.ceiling,
             radius=radius,
             stationary=predicted <= self.tolerance,
             iterations=state.iterations + judgement.accepted,
@@ -123,15 +134,6 @@ class PaperSCP(AbstractSCP):
             path=self.penalty * share[:, None] * jnp.ones_like(residuals.path),
             integral=self.penalty * ones,
         )
-
-    def _model(self, transcription: Transcription, state: SCPState) -> Model:
-        """Linear constraints and the cost's own curvature."""
-        scaling, iterate = state.scaling, state.iterate
-        rates = jnp.zeros(iterate.residuals.increments.shape[1]).at[-1].set(1.0)
-        none = jnp.zeros_like(iterate.residuals.path)
-        blocks = transcription.curvature(iterate.variables, rates, none)
-        hessian = convexified(scaling.curvature(blocks) / scaling.objective)
-        return Model(iterate.residuals, iterate.derivatives, hessian)
 
     def _solve(
         self,

@@ -23,7 +23,7 @@ from ._layout import Structure
 from ._model import (
     Model,
     PerConstraint,
-    convexified,
+    convex_model,
     integral_limits,
     penalized_cost,
     worst_violation,
@@ -90,7 +90,15 @@ class ProximalSCP(AbstractSCP):
     def step(self, transcription: Transcription, state: SCPState) -> SCPState:
         iterate = linearized(transcription, state.scaling, state.iterate)
         state = dataclasses.replace(state, iterate=iterate, finite=is_finite(iterate))
-        model = self._model(transcription, state)
+        share = 1.0 if self.curvature else 0.0
+        model = convex_model(
+            transcription,
+            state.scaling,
+            iterate.variables,
+            iterate.residuals,
+            iterate.derivatives,
+            jax.tree.map(lambda leaf: share * leaf, state.solution.multipliers),
+        )
         search, judgement = self._search(transcription, state, model)
         return self._advance(transcription, state, search, judgement)
 
@@ -152,31 +160,16 @@ class ProximalSCP(AbstractSCP):
                 ),
                 weights=weights,
                 expected=expected,
-                best=dataclasses.replace(
-                    tree_where(better, trial, best), solution=taken
-                ),
+                best=dataclasses.replace(tree_where(better, trial, best), solution=taken),
             )
 
+        zero = jnp.zeros(())
         nowhere = Trial(
-            state.solution, state.iterate.variables, here, jnp.inf, jnp.zeros(())
+            state.solution, state.iterate.variables, here, zero + jnp.inf, zero
         )
         search = _Search(jnp.zeros((), int), here, state.weights, here, nowhere)
         search = jax.lax.while_loop(again, attempt, search)
         return search, judged(search)
-
-    def _model(self, transcription: Transcription, state: SCPState) -> Model:
-        """Linear constraints, and the Lagrangian's curvature without the dynamics'."""
-        scaling, iterate = state.scaling, state.iterate
-        multipliers = state.solution.multipliers
-        share = 1.0 if self.curvature else 0.0
-        rates = share * multipliers.integral * scaling.objective / scaling.integral
-        blocks = transcription.curvature(
-            iterate.variables,
-            jnp.append(rates, 1.0),
-            share * multipliers.path * scaling.objective / scaling.path,
-        )
-        hessian = convexified(scaling.curvature(blocks) / scaling.objective)
-        return Model(iterate.residuals, iterate.derivatives, hessian)
 
     def _solve(
         self, transcription: Transcription, state: SCPState, model: Model

@@ -54,9 +54,7 @@ def from_dict(kind: type[_Module], values: Any, path: str = "") -> _Module:
         raise ValueError(named) from None
 
 
-def with_entries(
-    values: Mapping[str, Any], changes: Mapping[str, Any]
-) -> dict[str, Any]:
+def with_entries(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
     """Nested dictionaries with the entries at some dotted paths changed.
 
     **Raises:** `ValueError` on a path that is not in `values`, listing those that are.

@@ -117,9 +117,7 @@ def _named(transcription: Transcription, values: Array) -> dict[str, Array]:
     return named
 
 
-def _solution(
-    transcription: Transcription, state: SCPState, status: Status
-) -> Solution:
+def _solution(transcription: Transcription, state: SCPState, status: Status) -> Solution:
     """The last iterate in physical units."""
     problem, scaling, iterate = transcription.problem, state.scaling, state.iterate
     names = tuple(problem.integrals)

@@ -117,9 +117,7 @@ def solve_subproblem(
     Where the structure is not relaxed and the dynamics cannot be met within the limits,
     the relaxed one is solved instead.
     """
-    leaves, tree = jax.tree.flatten(
-        SubproblemData(model, model.gradient, prices, limits)
-    )
+    leaves, tree = jax.tree.flatten(SubproblemData(model, model.gradient, prices, limits))
     shapes = tuple(leaf.shape for leaf in leaves)
     outline = SubproblemSolution.none(structure)
     answer, unravel = ravel_pytree(outline)

@@ -136,9 +136,7 @@ def through_waypoints(
         )
     steps = jnp.abs(jnp.diff(points, axis=0))
     largest = jnp.max(steps, axis=0)
-    lengths = jnp.linalg.norm(
-        steps / jnp.where(largest > 0, largest, 1.0)[None], axis=1
-    )
+    lengths = jnp.linalg.norm(steps / jnp.where(largest > 0, largest, 1.0)[None], axis=1)
     # Waypoints that all coincide share the time evenly.
     lengths = jnp.where(jnp.sum(lengths) > 0, lengths, 1.0)
     legs = transit * lengths / jnp.sum(lengths)
@@ -167,9 +165,7 @@ def _boundary(problem: OptimalControlProblem, side: str) -> Float[Array, " n"]:
     )
 
 
-def _flight_time(
-    problem: OptimalControlProblem, final_time: ArrayLike | None
-) -> Scalar:
+def _flight_time(problem: OptimalControlProblem, final_time: ArrayLike | None) -> Scalar:
     bounds = problem.final_time
     if final_time is not None:
         return jnp.asarray(final_time, float)

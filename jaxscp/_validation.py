@@ -76,9 +76,7 @@ def check_guess(problem: OptimalControlProblem, guess: Trajectory) -> None:
             )
     time = guess.final_time
     if jnp.shape(time) != () or (is_concrete(time) and not float(time) > 0):
-        raise ValueError(
-            f"guess.final_time={time}: give one positive number of seconds."
-        )
+        raise ValueError(f"guess.final_time={time}: give one positive number of seconds.")
 
 
 def _check_bounds(name: str, bounds: Bounds, shape: tuple[int, ...] | None) -> None:

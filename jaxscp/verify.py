@@ -78,9 +78,7 @@ def verify(
     check_precision()
     nodes = _read(problem, solution, hold)
     if samples < 2:
-        raise ValueError(
-            f"samples={samples}: give at least 2, the ends of an interval."
-        )
+        raise ValueError(f"samples={samples}: give at least 2, the ends of an interval.")
     rates = rates_of(problem)
     motion = range_of_motion(problem.state, nodes.states)
     # Non-finite values are found and reported, not warned of.
@@ -184,9 +182,7 @@ def _dense(
     before = np.concatenate([np.zeros((1, gathered.shape[1])), gathered[:-1]])
     accumulated = (by_interval[:, :, n:] + before[:, None]).reshape(states.shape[0], -1)
     names = integral_names(problem)
-    integrands = (
-        rates(moments.ravel(), states, controls)[:, n:] if names else accumulated
-    )
+    integrands = rates(moments.ravel(), states, controls)[:, n:] if names else accumulated
     dense = Dense(
         times=moments.ravel(),
         states=states,

@@ -57,9 +57,7 @@ def test_minimum_energy_trajectory_and_costates():
     d, duration = 3.0, 2.0
     trajectory = solution.trajectory
     s = np.asarray(trajectory.fractions)
-    np.testing.assert_allclose(
-        trajectory.states[:, 0], d * s**2 * (3 - 2 * s), atol=1e-5
-    )
+    np.testing.assert_allclose(trajectory.states[:, 0], d * s**2 * (3 - 2 * s), atol=1e-5)
     np.testing.assert_allclose(
         trajectory.states[:, 1], 6 * d / duration * s * (1 - s), atol=1e-5
     )

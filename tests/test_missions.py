@@ -59,9 +59,7 @@ def test_there_are_ten():
 
 
 def test_an_unknown_name_lists_the_known_ones():
-    with pytest.raises(
-        ValueError, match=r"'free-fligth': no such .*free-flight, urban"
-    ):
+    with pytest.raises(ValueError, match=r"'free-fligth': no such .*free-flight, urban"):
         missions.get("free-fligth")
 
 
@@ -156,9 +154,7 @@ def test_json_that_is_not_a_mission():
     with pytest.raises(ValueError, match=r"^vehicle\.mass is missing"):
         missions.Mission.from_json(json.dumps(entries))
     entries = json.loads(text) | {"weather": "fine"}
-    with pytest.raises(
-        ValueError, match=r"^weather: no such entry; valid ones are name"
-    ):
+    with pytest.raises(ValueError, match=r"^weather: no such entry; valid ones are name"):
         missions.Mission.from_json(json.dumps(entries))
     entries = json.loads(text) | {"vehicle": 3}
     with pytest.raises(ValueError, match=r"^vehicle=3: give an object"):
@@ -174,9 +170,7 @@ def test_contract_s_paths_exist():
 @pytest.mark.parametrize("path", missions.paths(missions.get("urban-30MB")))
 def test_every_path_takes_the_value_it_has(path):
     mission = missions.get("urban-30MB")
-    assert eqx.tree_equal(
-        missions.replace(mission, path, entry(mission, path)), mission
-    )
+    assert eqx.tree_equal(missions.replace(mission, path, entry(mission, path)), mission)
 
 
 @pytest.mark.parametrize(
@@ -196,9 +190,7 @@ def test_replace_changes_that_entry_and_no_other(path, value):
     mission = missions.get("urban-30MB")
     changed = missions.replace(mission, path, value)
     assert entry(changed, path) == value
-    assert eqx.tree_equal(
-        missions.replace(changed, path, entry(mission, path)), mission
-    )
+    assert eqx.tree_equal(missions.replace(changed, path, entry(mission, path)), mission)
 
 
 def test_the_number_of_buildings_may_change():

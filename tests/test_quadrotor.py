@@ -39,9 +39,7 @@ def rotation(attitude):
 
 @given(attitude, st.floats(0.0, 60.0))
 def test_thrust_acts_along_the_body_axis(attitude, thrust):
-    change = derivative(
-        Quadrotor(), state_of(attitude=attitude), [thrust, 0.0, 0.0, 0.0]
-    )
+    change = derivative(Quadrotor(), state_of(attitude=attitude), [thrust, 0.0, 0.0, 0.0])
     expected = rotation(attitude) @ [0.0, 0.0, thrust / 3.0] - [0.0, 0.0, 9.81]
     assert_allclose(change[3:6], expected, atol=1e-12)
 

@@ -198,7 +198,5 @@ def test_a_guess_is_differentiable():
 def test_a_guess_under_jit_is_the_same():
     eager = straight_line(plane(), 7)
     jitted = eqx.filter_jit(lambda problem: straight_line(problem, 7))(plane())
-    for left, right in zip(
-        jax.tree.leaves(eager), jax.tree.leaves(jitted), strict=True
-    ):
+    for left, right in zip(jax.tree.leaves(eager), jax.tree.leaves(jitted), strict=True):
         np.testing.assert_allclose(left, right, rtol=1e-14)

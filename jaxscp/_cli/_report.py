@@ -79,7 +79,8 @@ def table(
     for name, worst in verification.violations.items():
         where = "at nodes" if name in verification.node_violations else "between nodes"
         lines.append(
-            f"{where:15} {name} broken by {worst.value:.2e} {worst.unit} at {worst.time:.2f} s"
+            f"{where:15} {name} broken by {worst.value:.2e} {worst.unit}"
+            f" at {worst.time:.2f} s"
         )
     return "\n".join(lines)
 

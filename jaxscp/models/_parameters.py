@@ -43,8 +43,7 @@ def parameter(
         # An empty list has lost its trailing axes.
         array = array.reshape(0, *(size or 0 for size in shape[1:]))
     if len(array.shape) != len(shape) or any(
-        size not in {None, found}
-        for size, found in zip(shape, array.shape, strict=True)
+        size not in {None, found} for size, found in zip(shape, array.shape, strict=True)
     ):
         raise ValueError(f"{name} has shape {array.shape}: give {expected}.")
     if not is_concrete(array):

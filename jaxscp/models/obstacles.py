@@ -25,9 +25,7 @@ class Cylinders(eqx.Module):
     safe_distances: Float[Array, " k"]
 
     def __init__(self, centers: Numbers = (), safe_distances: Numbers = ()):
-        self.centers = parameter(
-            "Cylinders.centers", centers, shape=(None, 2), unit="m"
-        )
+        self.centers = parameter("Cylinders.centers", centers, shape=(None, 2), unit="m")
         self.safe_distances = parameter(
             "Cylinders.safe_distances",
             safe_distances,
@@ -63,9 +61,7 @@ class Cylinders(eqx.Module):
         )
         return distances - smooth_norm(self.safe_distances)
 
-    def __call__(
-        self, t: Scalar, x: Float[Array, " n"], u: Array
-    ) -> Float[Array, " k"]:
+    def __call__(self, t: Scalar, x: Float[Array, " n"], u: Array) -> Float[Array, " k"]:
         """How far the position x[:2] is within each safe distance [m]."""
         del t, u
         return -self.clearance(x)

@@ -35,9 +35,7 @@ class Rotors(eqx.Module):
         self.thrust_coefficient = parameter(
             "Rotors.thrust_coefficient", thrust_coefficient, above=0.0, unit="N s^2"
         )
-        self.drag_ratio = parameter(
-            "Rotors.drag_ratio", drag_ratio, above=0.0, unit="m"
-        )
+        self.drag_ratio = parameter("Rotors.drag_ratio", drag_ratio, above=0.0, unit="m")
         self.maximum_speed = parameter(
             "Rotors.maximum_speed", maximum_speed, above=0.0, unit="rad/s"
         )
@@ -97,9 +95,7 @@ class Quadrotor(eqx.Module):
         self.inertia = parameter(
             "Quadrotor.inertia", inertia, shape=(3,), above=0.0, unit="kg m^2"
         )
-        self.gravity = parameter(
-            "Quadrotor.gravity", gravity, at_least=0.0, unit="m/s^2"
-        )
+        self.gravity = parameter("Quadrotor.gravity", gravity, at_least=0.0, unit="m/s^2")
         self.rotors = Rotors() if rotors is None else rotors
 
     def __call__(
@@ -184,9 +180,7 @@ class Quadrotor(eqx.Module):
             axis=-1,
         )
 
-    def rotor_speeds(
-        self, control: Float[Array, "*batch 4"]
-    ) -> Float[Array, "*batch 4"]:
+    def rotor_speeds(self, control: Float[Array, "*batch 4"]) -> Float[Array, "*batch 4"]:
         """Speeds of the four rotors [rad/s] that give thrust [N] and torques [N m].
 
         Nothing is clipped, so that a control the rotors cannot give stays visible: a
