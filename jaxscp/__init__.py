@@ -8,7 +8,6 @@ from ._hold import (
     FirstOrderHold as FirstOrderHold,
     ZeroOrderHold as ZeroOrderHold,
 )
-from ._iteration import History as History
 from ._paper import PaperSCP as PaperSCP
 from ._problem import (
     Integral as Integral,
@@ -23,6 +22,7 @@ from ._solution import (
     Statistics as Statistics,
 )
 from ._solve import SolveError as SolveError, solve as solve
+from ._state import History as History
 from ._status import Status as Status
 from ._trajectory import (
     Trajectory as Trajectory,

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._problem import OptimalControlProblem
-from ._status import Status
+from ._status import Status, sentence_of
 from ._trajectory import Trajectory
 from ._types import Array, Float
 
@@ -39,7 +39,7 @@ def explain(
     status: Status,
 ) -> str:
     """The status' sentence and, unless it is a success, what is wrong where."""
-    sentence = str(status)
+    sentence = sentence_of(status)
     if bool(status == Status.converged):
         return sentence
     if bool(status == Status.non_finite):

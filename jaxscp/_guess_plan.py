@@ -126,7 +126,7 @@ class GuessPlan(eqx.Module):
         legs = jnp.concatenate([jnp.zeros(1), lengths / self.cruise_speed])
         moving = jnp.sum(legs)
         shortest, longest = final_time_range
-        if waiting is None:
+        if waiting is None or data_required is None:
             wait = jnp.zeros(())
             total = jnp.clip(moving, shortest, longest)
         else:

@@ -1,4 +1,4 @@
-"""The state of an SCP method, and the moves every method makes."""
+"""The moves every SCP method makes: start, linearize, try, judge, advance."""
 
 import dataclasses
 
@@ -15,92 +15,14 @@ from ._model import (
     violations,
 )
 from ._scaling import Scaling, automatic_scaling
+from ._state import History, Iterate, Judgement, SCPState, Trial
 from ._subproblem import SubproblemSolution
-from ._transcription import Derivatives, Residuals, Transcription, Variables
-from ._types import Array, Float, Scalar
+from ._transcription import Transcription, Variables
+from ._types import Array, Scalar
 
 # Between one linearization and the next the substeps change at most so much: a wild
 # first step would otherwise ask for hundreds.
 _MOST_GROWTH = 4.0
-
-
-class Iterate(eqx.Module):
-    """A point, with the scaled values and derivatives of all functions there.
-
-    - `fresh`: whether the derivatives belong to the point, not to the one before.
-    - `substeps`: Runge-Kutta steps an interval, as many as the tolerance asked for.
-    - `integration_error`: estimated local error with that many, relative to the scales.
-    """
-
-    variables: Variables
-    residuals: Residuals
-    derivatives: Derivatives
-    fresh: Array
-    substeps: Array
-    integration_error: Scalar
-
-
-class History(eqx.Module):
-    """One number for each subproblem solved, in order; NaN beyond the last.
-
-    - `objective`: of the step tried, in its own unit.
-    - `penalized_cost`: of the reference, scaled, with the weights then in force.
-    - `predicted_reduction`, `actual_reduction`, `ratio`: of the penalized cost.
-    - `radius`: of the trust region; the inverse weight where it is a proximal term.
-    - `defect`: largest dynamics defect of the step tried, relative to the state scales.
-    - `buffer`: largest violation of a path or integral constraint, relative likewise.
-    - `accepted`: 1 if the step was taken.
-    """
-
-    objective: Float[Array, " records"]
-    penalized_cost: Float[Array, " records"]
-    predicted_reduction: Float[Array, " records"]
-    actual_reduction: Float[Array, " records"]
-    ratio: Float[Array, " records"]
-    radius: Float[Array, " records"]
-    defect: Float[Array, " records"]
-    buffer: Float[Array, " records"]
-    accepted: Float[Array, " records"]
-
-    @classmethod
-    def empty(cls, records: int) -> "History":
-        return cls(*(jnp.full(records, jnp.nan) for _ in range(9)))
-
-    def write(self, index: Array, **values: Array) -> "History":
-        """The history with one more record."""
-        return History(
-            **{
-                name: getattr(self, name).at[index].set(value)
-                for name, value in values.items()
-            }
-        )
-
-
-class SCPState(eqx.Module):
-    """Everything an SCP method carries from one iteration to the next.
-
-    - `weights`: of the exact penalty. `ceiling`: price of virtual variables.
-    - `radius`: as in [`History`][].
-    - `records`: entries in the history. `iterations`: those the method's limit counts.
-    - `subproblems`, `qp_iterations`, `qp_seconds`: QPs solved, and what they took.
-    - `stationary`: no step within the model improves the penalized cost.
-    - `finite`: whether the reference has finite values and derivatives.
-    """
-
-    iterate: Iterate
-    scaling: Scaling
-    solution: SubproblemSolution
-    weights: PerConstraint
-    ceiling: Scalar
-    radius: Scalar
-    history: History
-    records: Array
-    iterations: Array
-    subproblems: Array
-    qp_iterations: Array
-    qp_seconds: Scalar
-    stationary: Array
-    finite: Array
 
 
 def linearized(
@@ -128,29 +50,6 @@ def is_finite(tree) -> Array:
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
 
 
-class Trial(eqx.Module):
-    """A step tried: where it leads, the scaled residuals and the penalized cost there.
-
-    `integration_error` is that of the flow there, as in [`Iterate`][].
-    """
-
-    solution: SubproblemSolution
-    variables: Variables
-    residuals: Residuals
-    cost: Scalar
-    integration_error: Scalar
-
-
-class Judgement(eqx.Module):
-    """The ratio test of a step (paper, eq. 21): all of the penalized cost."""
-
-    reference: Scalar
-    predicted: Scalar
-    actual: Scalar
-    ratio: Scalar
-    accepted: Array
-
-
 def start(
     transcription: Transcription,
     guess: Variables,
@@ -162,13 +61,15 @@ def start(
 ) -> SCPState:
     """The state before the first subproblem."""
     substeps = jnp.asarray(transcription.discretization.min_substeps)
-    residuals = transcription.evaluate(guess, substeps)
-    scaling = automatic_scaling(transcription, guess, residuals)
-    _, derivatives = jax.eval_shape(transcription.linearize, guess, substeps)
+    # The first step linearizes; until then there is only the room for it.
+    residuals, derivatives = jax.tree.map(
+        lambda leaf: jnp.zeros(leaf.shape),
+        jax.eval_shape(transcription.linearize, guess, substeps),
+    )
     iterate = Iterate(
         variables=guess,
-        residuals=scaling.residuals(residuals),
-        derivatives=jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), derivatives),
+        residuals=residuals,
+        derivatives=derivatives,
         fresh=jnp.array(False),
         substeps=substeps,
         integration_error=jnp.zeros(()),
@@ -176,7 +77,7 @@ def start(
     zero = jnp.zeros((), int)
     return SCPState(
         iterate=iterate,
-        scaling=scaling,
+        scaling=automatic_scaling(transcription, guess),
         solution=nothing,
         weights=nothing.multipliers,
         ceiling=jnp.asarray(ceiling),
@@ -188,7 +89,8 @@ def start(
         qp_iterations=zero,
         qp_seconds=jnp.zeros(()),
         stationary=jnp.array(False),
-        finite=is_finite((residuals, scaling)),
+        failures=zero,
+        finite=jnp.array(True),
     )
 
 
@@ -241,7 +143,8 @@ def judge(
     noise = 1e-13 * jnp.abs(reference)
     meaningful = predicted > noise
     ratio = jnp.where(meaningful, actual / jnp.where(meaningful, predicted, 1.0), 1.0)
-    accepted = (ratio >= accept_ratio) & trial.solution.effort.solved
+    ratio = jnp.where(trial.solution.effort.solved, ratio, -jnp.inf)
+    accepted = ratio >= accept_ratio
     return Judgement(reference, predicted, actual, ratio, accepted)
 
 
@@ -301,6 +204,7 @@ def advance(
         qp_iterations=state.qp_iterations + effort.iterations,
         qp_seconds=state.qp_seconds + effort.seconds,
         stationary=stationary,
+        failures=jnp.where(effort.solved, 0, state.failures + 1),
     )
 
 

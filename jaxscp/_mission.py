@@ -212,13 +212,13 @@ def _figures(mission: Mission) -> _Figures:
         wait = mission.plan.loiter_place(mission.channel, mission.altitude_floor)
         places.insert(1, wait)
         waiting = 1 + mission.obstacles.count
-    legs = [
+    ways = [
         jnp.concatenate(
             [here[None], mission.plan.detours(here, there, mission.obstacles)]
         )
         for here, there in itertools.pairwise(places)
     ]
-    route = jax.vmap(_at_rest)(jnp.concatenate([*legs, mission.goal[None]]))
+    route = jax.vmap(_at_rest)(jnp.concatenate([*ways, mission.goal[None]]))
     shortest, longest = mission.final_time_range
     # The schedule only makes a guess and a scale: no derivative passes through it, and
     # at a leg of no length there is none.

@@ -7,19 +7,12 @@ import jax
 import jax.numpy as jnp
 
 from ._assembly import Prices
-from ._iteration import (
-    SCPState,
-    advance,
-    is_finite,
-    judge,
-    linearized,
-    start,
-    try_step,
-)
+from ._iteration import advance, is_finite, judge, linearized, start, try_step
 from ._layout import Structure
 from ._model import Model, PerConstraint, convex_model, integral_limits, penalized_cost
 from ._qp import PIQP
 from ._scp import AbstractSCP
+from ._state import SCPState
 from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
 from ._transcription import Transcription, Variables
 
@@ -50,6 +43,7 @@ class PaperSCP(AbstractSCP):
     - `feasibility_tolerance`: defects and violations, relative to the scales, beyond
         which virtual variables count as remaining.
     - `min_radius`: below it the trust region has collapsed.
+    - `max_failures`: the algorithm has no answer to a subproblem without solution.
     - `qp`: the solver of the subproblems.
     """
 
@@ -63,6 +57,7 @@ class PaperSCP(AbstractSCP):
     alpha: float = eqx.field(static=True, default=2.0)
     feasibility_tolerance: float = eqx.field(static=True, default=1e-4)
     min_radius: float = eqx.field(static=True, default=1e-10)
+    max_failures: int = eqx.field(static=True, default=1)
     qp: PIQP = PIQP()
 
     def __check_init__(self):

@@ -7,31 +7,21 @@ import jax
 import jax.numpy as jnp
 
 from ._assembly import Prices
-from ._iteration import (
-    Judgement,
-    SCPState,
-    Trial,
-    advance,
-    is_finite,
-    judge,
-    linearized,
-    start,
-    tree_where,
-    try_step,
-)
+from ._iteration import advance, is_finite, linearized, start, tree_where
 from ._layout import Structure
 from ._model import (
     Model,
     PerConstraint,
     convex_model,
     integral_limits,
-    penalized_cost,
     worst_violation,
 )
 from ._qp import PIQP
 from ._scp import AbstractSCP
+from ._search import Search, search
+from ._state import Judgement, SCPState
 from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
-from ._transcription import Residuals, Transcription, Variables
+from ._transcription import Transcription, Variables
 from ._types import Array, Scalar
 
 
@@ -72,6 +62,7 @@ class ProximalSCP(AbstractSCP):
     correction_ratio: float = eqx.field(static=True, default=0.5)
     weight_factor: float = eqx.field(static=True, default=3.0)
     min_radius: float = eqx.field(static=True, default=1e-12)
+    max_failures: int = eqx.field(static=True, default=5)
     max_radius: float = eqx.field(static=True, default=1e6)
     # Price of virtual variables: above any likely multiplier, raised if it is not.
     initial_ceiling: float = eqx.field(static=True, default=1e2)
@@ -99,77 +90,17 @@ class ProximalSCP(AbstractSCP):
             iterate.derivatives,
             jax.tree.map(lambda leaf: share * leaf, state.solution.multipliers),
         )
-        search, judgement = self._search(transcription, state, model)
-        return self._advance(transcription, state, search, judgement)
-
-    def _search(
-        self, transcription: Transcription, state: SCPState, model: Model
-    ) -> tuple["_Search", Judgement]:
-        """The subproblem's step or, if that is poor, its second-order correction.
-
-        The correction solves the same subproblem with what the linearization missed at
-        the first trial added to every constraint: c(z + d) - J d instead of c(z).
-        Fletcher, "Practical Methods of Optimization", Section 14.4. Both passes are one
-        loop, so that a subproblem is compiled once.
-        """
-        scaling, here = state.scaling, model.residuals
-        limits = integral_limits(transcription, scaling)
-
-        def judged(search: _Search) -> Judgement:
-            reference = penalized_cost(here, limits, search.weights)
-            expected = penalized_cost(search.expected, limits, search.weights)
-            predicted = reference - expected
-            return judge(reference, predicted, search.best, self.accept_ratio)
-
-        def again(search: _Search) -> Array:
-            solved = search.best.solution.effort.solved
-            poor = judged(search).ratio < self.correction_ratio
-            correct = self.correction & (search.passes == 1) & solved & poor
-            return (search.passes == 0) | correct
-
-        def attempt(search: _Search) -> _Search:
-            first, best = search.passes == 0, search.best
-            around = Model(search.around, model.derivatives, model.hessian)
-            solution = self._solve(transcription, state, around)
-            followed = _following(state.weights, solution.multipliers, state.ceiling)
-            weights = tree_where(first, followed, search.weights)
-            expected = tree_where(first, model.predict(solution.step), search.expected)
-            trial = try_step(transcription, scaling, state.iterate, solution, weights)
-            better = first | (solution.effort.solved & (trial.cost < best.cost))
-            # Multipliers stay those of the uncorrected subproblem: penalty weights and
-            # the convergence test speak of that one.
-            kept = tree_where(first, solution, best.solution)
-            total = solution.effort.after(best.solution.effort)
-            taken = dataclasses.replace(
-                kept,
-                step=tree_where(better, solution.step, kept.step),
-                effort=dataclasses.replace(
-                    tree_where(first, solution.effort, total), solved=kept.effort.solved
-                ),
-            )
-            seen = trial.residuals
-            missed = (seen.increments - expected.increments).at[:, -1].set(0.0)
-            return _Search(
-                passes=search.passes + 1,
-                around=Residuals(
-                    objective=here.objective,
-                    defects=here.defects + seen.defects - expected.defects,
-                    path=here.path + seen.path - expected.path,
-                    # But for the cost, whose curvature the model has already.
-                    increments=here.increments + missed,
-                ),
-                weights=weights,
-                expected=expected,
-                best=dataclasses.replace(tree_where(better, trial, best), solution=taken),
-            )
-
-        zero = jnp.zeros(())
-        nowhere = Trial(
-            state.solution, state.iterate.variables, here, zero + jnp.inf, zero
+        found, judgement = search(
+            transcription,
+            state,
+            model,
+            solve=lambda around: self._solve(transcription, state, around),
+            follow=lambda to: _following(state.weights, to, state.ceiling),
+            accept_ratio=self.accept_ratio,
+            # No ratio is below this one: then no step is poor.
+            correction_ratio=self.correction_ratio if self.correction else -jnp.inf,
         )
-        search = _Search(jnp.zeros((), int), here, state.weights, here, nowhere)
-        search = jax.lax.while_loop(again, attempt, search)
-        return search, judged(search)
+        return self._advance(transcription, state, found, judgement)
 
     def _solve(
         self, transcription: Transcription, state: SCPState, model: Model
@@ -191,21 +122,22 @@ class ProximalSCP(AbstractSCP):
         self,
         transcription: Transcription,
         state: SCPState,
-        search: "_Search",
+        found: Search,
         judgement: Judgement,
     ) -> SCPState:
-        trial = search.best
+        trial = found.best
         ratio, factor = judgement.ratio, self.weight_factor
         radius = jnp.where(ratio < self.poor_ratio, state.radius / factor, state.radius)
         radius = jnp.where(ratio > self.good_ratio, radius * factor, radius)
         # A heavy proximal term makes every prediction small: take it out again.
         held_back = jnp.maximum(1.0, 1.0 / state.radius)
         stationary = judgement.predicted * held_back <= self.tolerance
+        stationary &= trial.solution.effort.solved
         limits = integral_limits(transcription, state.scaling)
         here = tree_where(judgement.accepted, trial.residuals, state.iterate.residuals)
         infeasible = worst_violation(here, limits) > self.feasibility_tolerance
         # Where even the model leaves a violation, virtual variables may be too cheap.
-        bought = worst_violation(search.expected, limits) > self.feasibility_tolerance
+        bought = worst_violation(found.expected, limits) > self.feasibility_tolerance
         cheap = stationary & bought & (state.ceiling < self.max_ceiling)
         ceiling = jnp.where(cheap, 10.0 * state.ceiling, state.ceiling)
         return advance(
@@ -213,26 +145,12 @@ class ProximalSCP(AbstractSCP):
             state,
             trial,
             judgement,
-            weights=search.weights,
+            weights=found.weights,
             ceiling=ceiling,
             radius=jnp.minimum(radius, self.max_radius),
             stationary=stationary & (~infeasible | bought) & ~cheap,
             iterations=state.iterations + 1,
         )
-
-
-class _Search(eqx.Module):
-    """One or two passes for a step.
-
-    - `around`: the residuals the next subproblem is built on.
-    - `expected`: those the model predicts for the uncorrected step.
-    """
-
-    passes: Array
-    around: Residuals
-    weights: PerConstraint
-    expected: Residuals
-    best: Trial
 
 
 def _following(

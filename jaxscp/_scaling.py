@@ -90,30 +90,29 @@ class Scaling(eqx.Module):
         )
 
 
-def automatic_scaling(
-    transcription: Transcription, guess: Variables, residuals: Residuals
-) -> Scaling:
+def automatic_scaling(transcription: Transcription, guess: Variables) -> Scaling:
     """Scales from ranges: of the limits, else the boundary values, else the guess."""
     problem = transcription.problem
     ends = jnp.stack([problem.initial_state.target, problem.final_state.target])
-    bounds = [integral.bounds for integral in problem.integrals.values()]
+    *totals, cost = transcription.rough_totals(guess)
     integral = [
-        _scale(bound, total[None], absolute=True)
-        for bound, total in zip(bounds, residuals.totals, strict=True)
+        _scale(integral.bounds, total[None], absolute=True)
+        for integral, total in zip(problem.integrals.values(), totals, strict=True)
     ]
+    path_size = sum(transcription.path_sizes.values())
     sizes = Scaling(
         state=_scale(problem.state, jnp.concatenate([guess.states, ends])),
         control=_scale(problem.control, guess.controls),
         time=jnp.abs(guess.final_time),
-        integral=jnp.array(integral).reshape(len(bounds)),
-        path=jnp.ones(residuals.path.shape[1]),
+        integral=jnp.array(integral).reshape(len(totals)),
+        path=jnp.ones(path_size),
         objective=jnp.ones(()),
     )
     nodes = sizes.node_derivatives(transcription.linearize_nodes(guess))
     slopes = jnp.sum(jnp.abs(nodes.path_state), axis=2)
     slopes += jnp.sum(jnp.abs(nodes.path_control), axis=2) + jnp.abs(nodes.path_time)
-    path = _first_positive(jnp.max(slopes, 0), jnp.max(jnp.abs(residuals.path), 0))
-    objective = _objective_scale(transcription, sizes, guess, residuals, nodes)
+    path = _first_positive(jnp.max(slopes, axis=0))
+    objective = _objective_scale(transcription, sizes, guess, cost, nodes)
     return dataclasses.replace(sizes, path=path, objective=objective)
 
 
@@ -149,7 +148,7 @@ def _objective_scale(
     transcription: Transcription,
     sizes: Scaling,
     guess: Variables,
-    residuals: Residuals,
+    cost: Scalar,
     nodes: NodeDerivatives,
 ) -> Scalar:
     """Size of the cost over the scaled variables' ranges.
@@ -158,8 +157,9 @@ def _objective_scale(
     one range count too. All of them are homogeneous in the cost: a cost in other units
     leaves the scaled problem as it was.
     """
-    rates = jnp.zeros(residuals.increments.shape[1]).at[-1].set(1.0)
-    blocks = transcription.curvature(guess, rates, jnp.zeros_like(residuals.path))
+    rates = jnp.zeros(len(transcription.problem.integrals) + 1).at[-1].set(1.0)
+    none = jnp.zeros(nodes.path_time.shape)
+    blocks = transcription.curvature(guess, rates, none)
     traces = jnp.trace(sizes.curvature(blocks), axis1=1, axis2=2)
     by_state, by_control = jax.vmap(
         jax.grad(transcription.problem.running_cost, argnums=(1, 2))
@@ -171,7 +171,7 @@ def _objective_scale(
     slopes = jnp.abs(by_state) @ sizes.state + jnp.abs(by_control) @ sizes.control
     seen = jnp.stack(
         [
-            jnp.abs(residuals.objective),
+            jnp.abs(cost),
             0.5 * jnp.sum(jnp.abs(traces)),
             guess.final_time * jnp.mean(slopes),
             jnp.max(jnp.abs(nodes.terminal_state), initial=0.0),

@@ -2,13 +2,14 @@
 
 import abc
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._iteration import SCPState
 from ._model import integral_limits, largest_buffer, violations
+from ._state import SCPState
 from ._status import Status
 from ._transcription import Transcription, Variables
 from ._types import Array
@@ -23,6 +24,7 @@ class AbstractSCP(eqx.Module):
     max_iterations: eqx.AbstractVar[int]
     feasibility_tolerance: eqx.AbstractVar[float]
     min_radius: eqx.AbstractVar[float]
+    max_failures: eqx.AbstractVar[int]
 
     @abc.abstractmethod
     def init(self, transcription: Transcription, guess: Variables) -> SCPState:
@@ -41,10 +43,10 @@ class AbstractSCP(eqx.Module):
         dynamics = jnp.max(broken.dynamics)
         buffer = largest_buffer(broken)
         feasible = jnp.maximum(dynamics, buffer) <= self.feasibility_tolerance
-        effort = state.solution.effort
-        status = Status.iteration_limit
-        done = state.iterations >= self.max_iterations
-        for happened, name in (
+        failed = state.failures >= self.max_failures
+        infeasible = state.solution.effort.infeasible
+        # Later ones prevail. Typed as anything: a member of an Enumeration is no string.
+        outcomes: tuple[tuple[Array, Any], ...] = (
             (state.radius < self.min_radius, Status.trust_region_collapsed),
             (
                 state.stationary & ~feasible & (buffer > dynamics),
@@ -55,11 +57,14 @@ class AbstractSCP(eqx.Module):
                 Status.virtual_control_remains,
             ),
             (state.stationary & feasible, Status.converged),
-            (~effort.solved, Status.subproblem_failed),
-            (~effort.solved & effort.infeasible, Status.subproblem_infeasible),
+            (failed, Status.subproblem_failed),
+            (failed & infeasible, Status.subproblem_infeasible),
             (~state.finite, Status.non_finite),
-        ):
-            status = Status.where(happened, name, status)
+        )
+        status: Any = Status.iteration_limit
+        done = state.iterations >= self.max_iterations
+        for happened, outcome in outcomes:
+            status = Status.where(happened, outcome, status)
             done = done | happened
         return done, status
 

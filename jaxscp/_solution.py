@@ -6,9 +6,9 @@ import jax.numpy as jnp
 
 from ._diagnosis import Violations, explain
 from ._discretization import Discretization, flow_within
-from ._iteration import History
 from ._packed import Packed
 from ._problem import OptimalControlProblem
+from ._state import History
 from ._status import Status
 from ._trajectory import Trajectory
 from ._types import Array, ArrayLike, Float, Scalar, is_concrete

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 
 from ._diagnosis import Violations
 from ._discretization import Discretization
-from ._iteration import SCPState
 from ._model import integral_limits, violations
 from ._packed import Packed
 from ._problem import OptimalControlProblem
 from ._proximal import ProximalSCP
 from ._scp import AbstractSCP, run
 from ._solution import Multipliers, Solution, Statistics
+from ._state import SCPState
 from ._status import Status
 from ._trajectory import Trajectory, straight_line
 from ._transcription import Transcription

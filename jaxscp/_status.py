@@ -35,3 +35,15 @@ class Status(eqx.Enumeration):
         "A function of the problem returned NaN or infinity. Guard it against "
         "singular points (division by zero, powers, roots, arcsines)."
     )
+
+
+def sentence_of(status: Status) -> str:
+    """The sentence of a status that is a number already, not traced."""
+    return str(Status[status])  # type: ignore[misc]
+
+
+def name_of(status: Status) -> str:
+    """The member's name, as scripts compare it: "converged", "iteration_limit", ..."""
+    return next(
+        name for name, item in Status._name_to_item.items() if bool(status == item)
+    )

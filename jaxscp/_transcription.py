@@ -178,6 +178,16 @@ class Transcription(eqx.Module):
         )
         return NodeDerivatives(*path, *terminal)
 
+    def rough_totals(self, variables: Variables) -> Float[Array, " r"]:
+        """Integrals and the cost from nodal values alone: good enough for scales."""
+        times = variables.final_time * self.fractions
+        rates = jax.vmap(lambda t, x, u: integrand_rates(self.problem, t, x, u))(
+            times, variables.states, self.nodal_controls(variables)
+        )
+        totals = jnp.trapezoid(rates, times, axis=0)
+        terminal = self.problem.terminal_cost(variables.final_time, variables.states[-1])
+        return totals.at[-1].add(terminal)
+
     def curvature(
         self,
         variables: Variables,

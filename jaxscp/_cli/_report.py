@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._solution import Solution
-from .._status import Status
+from .._status import name_of
 from .._verification import Verification
 from ..missions import Mission
 
@@ -31,7 +31,7 @@ def as_json(
     required = mission.data_required
     report = {
         "mission": mission.name,
-        "status": status_name(solution.status),
+        "status": name_of(solution.status),
         "converged": bool(solution.converged),
         "verified": bool(verification.verified),
         "objective": float(solution.objective),
@@ -109,14 +109,6 @@ def progress_line(row: dict[str, Any]) -> str:
     # "penalized_cost" and its like are cut to their first words.
     headings = " ".join(f"{name.partition('_')[0]:>{width}}" for name in columns)
     return f"{headings}\n{line}"
-
-
-def status_name(status: Status) -> str:
-    """The member's name, such as "converged"."""
-    for name in vars(Status)["_name_to_item"]:
-        if bool(status == getattr(Status, name)):
-            return name
-    raise AssertionError(f"{status} is no member of Status")
 
 
 def position_error(verification: Verification) -> float:

@@ -1,0 +1,125 @@
+"""The step of one iteration: a subproblem's, or its second-order correction."""
+
+import dataclasses
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ._iteration import judge, tree_where, try_step
+from ._model import Model, PerConstraint, integral_limits, penalized_cost
+from ._state import Judgement, SCPState, Trial
+from ._subproblem import SubproblemSolution
+from ._transcription import Residuals, Transcription
+from ._types import Array
+
+
+class Search(eqx.Module):
+    """One or two passes for a step.
+
+    - `around`: the residuals the next subproblem is built on.
+    - `weights`: of the exact penalty.
+    - `expected`: residuals the model predicts for the uncorrected step.
+    - `best`: the better trial so far.
+    """
+
+    passes: Array
+    around: Residuals
+    weights: PerConstraint
+    expected: Residuals
+    best: Trial
+
+
+def search(
+    transcription: Transcription,
+    state: SCPState,
+    model: Model,
+    solve: Callable[[Model], SubproblemSolution],
+    follow: Callable[[PerConstraint], PerConstraint],
+    *,
+    accept_ratio: float,
+    correction_ratio: float,
+) -> tuple[Search, Judgement]:
+    """The subproblem's step or, if that is poor, its second-order correction.
+
+    The correction solves the same subproblem with what the linearization missed at the
+    first trial added to every constraint: c(z + d) - J d instead of c(z). Fletcher,
+    "Practical Methods of Optimization", Section 14.4. Both passes are one loop, so that
+    a subproblem is compiled once.
+
+    **Arguments:**
+
+    - `solve`: the subproblem of a model. `follow`: penalty weights from multipliers.
+    - `accept_ratio`: as in the ratio test. `correction_ratio`: below it a step is poor.
+    """
+    limits = integral_limits(transcription, state.scaling)
+
+    def judged(found: Search) -> Judgement:
+        reference = penalized_cost(model.residuals, limits, found.weights)
+        expected = penalized_cost(found.expected, limits, found.weights)
+        return judge(reference, reference - expected, found.best, accept_ratio)
+
+    def again(found: Search) -> Array:
+        solved = found.best.solution.effort.solved
+        poor = judged(found).ratio < correction_ratio
+        return (found.passes == 0) | ((found.passes == 1) & solved & poor)
+
+    def attempt(found: Search) -> Search:
+        first, best = found.passes == 0, found.best
+        shifted = Model(found.around, model.derivatives, model.hessian)
+        solution = _or_stay(solve(shifted), state.solution)
+        weights = tree_where(first, follow(solution.multipliers), found.weights)
+        expected = tree_where(first, model.predict(solution.step), found.expected)
+        trial = try_step(transcription, state.scaling, state.iterate, solution, weights)
+        better = first | (solution.effort.solved & (trial.cost < best.cost))
+        chosen = dataclasses.replace(
+            tree_where(better, trial, best),
+            solution=_combined(first, better, solution, best.solution),
+        )
+        around = _corrected(model.residuals, trial.residuals, expected)
+        return Search(found.passes + 1, around, weights, expected, chosen)
+
+    zero, here = jnp.zeros(()), model.residuals
+    nowhere = Trial(state.solution, state.iterate.variables, here, zero + jnp.inf, zero)
+    found = Search(jnp.zeros((), int), here, state.weights, here, nowhere)
+    found = jax.lax.while_loop(again, attempt, found)
+    return found, judged(found)
+
+
+def _or_stay(
+    solution: SubproblemSolution, earlier: SubproblemSolution
+) -> SubproblemSolution:
+    """An unsolved subproblem says nothing: no step, and the multipliers before."""
+    still = jax.tree.map(jnp.zeros_like, earlier.step)
+    stay = dataclasses.replace(earlier, step=still, effort=solution.effort)
+    return tree_where(solution.effort.solved, solution, stay)
+
+
+def _combined(
+    first: Array, better: Array, latest: SubproblemSolution, before: SubproblemSolution
+) -> SubproblemSolution:
+    """The better step with the multipliers of the uncorrected subproblem.
+
+    Penalty weights and the convergence test speak of that one. Efforts add up.
+    """
+    kept = tree_where(first, latest, before)
+    total = latest.effort.after(before.effort)
+    effort = tree_where(first, latest.effort, total)
+    return dataclasses.replace(
+        kept,
+        step=tree_where(better, latest.step, kept.step),
+        effort=dataclasses.replace(effort, solved=kept.effort.solved),
+    )
+
+
+def _corrected(here: Residuals, seen: Residuals, expected: Residuals) -> Residuals:
+    """Residuals at the reference, plus what the linearization missed at a trial."""
+    missed = seen.increments - expected.increments
+    return Residuals(
+        objective=here.objective,
+        defects=here.defects + seen.defects - expected.defects,
+        path=here.path + seen.path - expected.path,
+        # But for the cost, whose curvature the model has already.
+        increments=here.increments + missed.at[:, -1].set(0.0),
+    )

@@ -1,0 +1,114 @@
+"""The state an SCP method carries from one iteration to the next."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from ._model import PerConstraint
+from ._scaling import Scaling
+from ._subproblem import SubproblemSolution
+from ._transcription import Derivatives, Residuals, Variables
+from ._types import Array, Float, Scalar
+
+
+class Iterate(eqx.Module):
+    """A point, with the scaled values and derivatives of all functions there.
+
+    - `fresh`: whether the derivatives belong to the point, not to the one before.
+    - `substeps`: Runge-Kutta steps an interval, as many as the tolerance asked for.
+    - `integration_error`: estimated local error with that many, relative to the scales.
+    """
+
+    variables: Variables
+    residuals: Residuals
+    derivatives: Derivatives
+    fresh: Array
+    substeps: Array
+    integration_error: Scalar
+
+
+class History(eqx.Module):
+    """One number for each subproblem solved, in order; NaN beyond the last.
+
+    - `objective`: of the step tried, in its own unit.
+    - `penalized_cost`: of the reference, scaled, with the weights then in force.
+    - `predicted_reduction`, `actual_reduction`, `ratio`: of the penalized cost.
+    - `radius`: of the trust region; the inverse weight where it is a proximal term.
+    - `defect`: largest dynamics defect of the step tried, relative to the state scales.
+    - `buffer`: largest violation of a path or integral constraint, relative likewise.
+    - `accepted`: 1 if the step was taken.
+    """
+
+    objective: Float[Array, " records"]
+    penalized_cost: Float[Array, " records"]
+    predicted_reduction: Float[Array, " records"]
+    actual_reduction: Float[Array, " records"]
+    ratio: Float[Array, " records"]
+    radius: Float[Array, " records"]
+    defect: Float[Array, " records"]
+    buffer: Float[Array, " records"]
+    accepted: Float[Array, " records"]
+
+    @classmethod
+    def empty(cls, records: int) -> "History":
+        return cls(*(jnp.full(records, jnp.nan) for _ in range(9)))
+
+    def write(self, index: Array, **values: Array) -> "History":
+        """The history with one more record."""
+        return History(
+            **{
+                name: getattr(self, name).at[index].set(value)
+                for name, value in values.items()
+            }
+        )
+
+
+class SCPState(eqx.Module):
+    """Everything an SCP method carries from one iteration to the next.
+
+    - `weights`: of the exact penalty. `ceiling`: price of virtual variables.
+    - `radius`: as in [`History`][].
+    - `records`: entries in the history. `iterations`: those the method's limit counts.
+    - `subproblems`, `qp_iterations`, `qp_seconds`: QPs solved, and what they took.
+    - `stationary`: no step within the model improves the penalized cost.
+    - `failures`: subproblems left unsolved in a row.
+    - `finite`: whether the reference has finite values and derivatives.
+    """
+
+    iterate: Iterate
+    scaling: Scaling
+    solution: SubproblemSolution
+    weights: PerConstraint
+    ceiling: Scalar
+    radius: Scalar
+    history: History
+    records: Array
+    iterations: Array
+    subproblems: Array
+    qp_iterations: Array
+    qp_seconds: Scalar
+    stationary: Array
+    failures: Array
+    finite: Array
+
+
+class Trial(eqx.Module):
+    """A step tried: where it leads, the scaled residuals and the penalized cost there.
+
+    `integration_error` is that of the flow there, as in [`Iterate`][].
+    """
+
+    solution: SubproblemSolution
+    variables: Variables
+    residuals: Residuals
+    cost: Scalar
+    integration_error: Scalar
+
+
+class Judgement(eqx.Module):
+    """The ratio test of a step (paper, eq. 21): all of the penalized cost."""
+
+    reference: Scalar
+    predicted: Scalar
+    actual: Scalar
+    ratio: Scalar
+    accepted: Array
