@@ -59,7 +59,7 @@ def costly_pendulum() -> OptimalControlProblem:
         terminal_cost=lambda t, x: t**2 * x[0] + x[1] ** 2 * x[0],
         path_constraints={
             "disc": lambda t, x, u: 1.0 - x @ x + 0.1 * t * u[0] ** 2,
-            "pair": lambda t, x, u: jnp.stack([x[0] * u[0], jnp.sin(x[1]) * t]),
+            "pair": lambda t, x, u: jnp.stack([x[0] * u[0], jnp.sin(x[1]) * (1 + t)]),
         },
         integrals={
             "a": Integral(lambda t, x, u: jnp.sin(t) * x[0] ** 2, Bounds.at_least(1.0)),
@@ -237,7 +237,8 @@ def check_every_column(transcription, variables, steps):
 
     The step of each variable serves as its unit.
     """
-    substeps, steps = jnp.asarray(3), np.asarray(ravel_pytree(steps)[0])
+    substeps = jnp.asarray(3)
+    steps = np.concatenate([np.ravel(leaf) for leaf in jax.tree.leaves(steps)])
     residuals, derivatives = linearize(transcription, variables, substeps)
     shifts = np.concatenate([np.zeros((1, steps.size)), np.diag(steps), -np.diag(steps)])
     around = shifted(transcription, variables, substeps, jnp.asarray(shifts))
@@ -259,7 +260,7 @@ def check_every_column(transcription, variables, steps):
 def test_jacobians(hold, quadrature):
     transcription = transcribed(costly_pendulum(), UNEVEN, hold, quadrature)
     variables = point(transcription)
-    steps = jax.tree.map(lambda leaf: jnp.full_like(leaf, 1e-5), variables)
+    steps = jax.tree.map(lambda leaf: np.full(leaf.shape, 1e-5), variables)
     check_every_column(transcription, variables, steps)
 
 
@@ -268,13 +269,14 @@ def test_jacobians_of_the_quadrotor():
     problem, guess = mission.problem(), mission.guess(4)
     transcription = transcribed(problem, guess.fractions)
     # Off the guess, where symmetry and rest hide many derivatives.
-    offset, variables = point(transcription), transcription.variables(guess)
+    offset = point(transcription, final_time=3.0)
     variables = Variables(
-        variables.states + 0.2 * offset.states,
-        variables.controls * (1.0 + 0.1 * offset.controls) + 0.01 * offset.controls,
-        jnp.array(3.0),
+        np.asarray(guess.states) + 0.2 * offset.states,
+        np.asarray(guess.controls)[:3] * (1.0 + 0.1 * offset.controls)
+        + 0.01 * offset.controls,
+        offset.final_time,
     )
-    steps = jax.tree.map(lambda leaf: jnp.full_like(leaf, 1e-4), variables)
+    steps = jax.tree.map(lambda leaf: np.full(leaf.shape, 1e-4), variables)
     check_every_column(transcription, variables, steps)
 
 
@@ -504,7 +506,8 @@ def test_substeps_may_be_traced():
 def test_substeps_may_be_a_batch():
     transcription = transcribed(costly_pendulum(), EVEN)
     variables, counts = point(transcription), jnp.array([1, 3, 8])
-    batch = jax.vmap(transcription.evaluate, in_axes=(None, 0))(variables, counts)
+    vectorized = eqx.filter_vmap(evaluate, in_axes=(None, None, 0))
+    batch = vectorized(transcription, variables, counts)
     for index, count in enumerate(counts):
         alone = evaluate(transcription, variables, count)
         for left, right in zip(

@@ -1,0 +1,132 @@
+"""Solutions do not depend on the units they are computed in."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxscp
+from jaxscp import Bounds, Integral, OptimalControlProblem
+
+NODES = 15
+# Converged far beyond what is compared: two paths to one point differ on the way.
+METHOD = jaxscp.ProximalSCP(tolerance=1e-9, feasibility_tolerance=1e-8)
+
+
+class Pendulum(eqx.Module):
+    """A damped pendulum whose angle, speed, torque and clock have units of one's own."""
+
+    angle: jax.Array
+    speed: jax.Array
+    torque: jax.Array
+    time: jax.Array
+
+    def __call__(self, t, x, u):
+        angle, speed, torque = x[0] / self.angle, x[1] / self.speed, u[0] / self.torque
+        rates = [speed * self.angle, (torque - jnp.sin(angle) - 0.1 * speed) * self.speed]
+        return jnp.stack(rates) / self.time
+
+
+class Scaled(eqx.Module):
+    """A function of the pendulum in other units, in another unit itself."""
+
+    plant: Pendulum
+    unit: jax.Array
+    power: int = 2
+    of_angle: bool = False
+
+    def __call__(self, t, x, u):
+        value = x[0] / self.plant.angle if self.of_angle else u[0] / self.plant.torque
+        return self.unit * value**self.power
+
+
+class Ceiling(eqx.Module):
+    plant: Pendulum
+    unit: jax.Array
+
+    def __call__(self, t, x, u):
+        return self.unit * jnp.stack([x[1] / self.plant.speed - 0.5])
+
+
+def swing(angle=1.0, speed=1.0, torque=1.0, time=1.0, cost=1.0, ceiling=1.0, data=1.0):
+    """The same swing-up in the given units: all of them multiply what they name."""
+    plant = Pendulum(*(jnp.asarray(unit) for unit in (angle, speed, torque, time)))
+    size = jnp.array([angle, speed])
+    return OptimalControlProblem(
+        plant,
+        state=Bounds(-4.0 * size, 4.0 * size),
+        control=Bounds(-1.5 * jnp.array([torque]), 1.5 * jnp.array([torque])),
+        initial_state=Bounds.exactly(jnp.zeros(2)),
+        final_state=Bounds.exactly(jnp.array([1.5 * angle, 0.0])),
+        final_time=Bounds(2.0 * time, 8.0 * time),
+        running_cost=Scaled(plant, jnp.asarray(cost / time)),
+        path_constraints={"ceiling": Ceiling(plant, jnp.asarray(ceiling))},
+        integrals={
+            "lift": Integral(
+                Scaled(plant, jnp.asarray(data / time), power=1, of_angle=True),
+                Bounds.at_least(jnp.asarray(3.0 * data)),
+            )
+        },
+    )
+
+
+def solved(**units):
+    return jaxscp.solve(swing(**units), method=METHOD, nodes=NODES)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return solved()
+
+
+@pytest.mark.parametrize(
+    "units",
+    [
+        {"cost": 1e6},
+        {"cost": 1e-6},
+        {"angle": 180 / np.pi},
+        {"speed": 1e3, "torque": 1e-3},
+        {"time": 1e-3},
+        {"ceiling": 1e4},
+        {"data": 8e6},
+        {"angle": 0.01, "time": 60.0, "cost": 1e3, "data": 1e-3, "ceiling": 0.1},
+    ],
+    ids=str,
+)
+def test_units_do_not_matter(plain, units):
+    other = solved(**units)
+    unit = {"angle": 1.0, "speed": 1.0, "torque": 1.0, "time": 1.0, "cost": 1.0}
+    unit |= {"ceiling": 1.0, "data": 1.0} | units
+    size = np.array([unit["angle"], unit["speed"]])
+    cost = unit["cost"]
+    assert float(other.objective) == pytest.approx(
+        cost * float(plain.objective), rel=1e-6
+    )
+    time = float(other.trajectory.final_time) / unit["time"]
+    assert time == pytest.approx(float(plain.trajectory.final_time), rel=1e-4)
+    np.testing.assert_allclose(
+        np.asarray(other.trajectory.states) / size, plain.trajectory.states, atol=1e-4
+    )
+    np.testing.assert_allclose(
+        other.trajectory.controls / unit["torque"], plain.trajectory.controls, atol=2e-3
+    )
+    # Multipliers carry the units of the cost per unit of their constraint.
+    np.testing.assert_allclose(
+        np.asarray(other.multipliers.dynamics) * size / cost, plain.multipliers.dynamics, atol=2e-3
+    )
+    assert float(other.multipliers.integrals["lift"]) * unit[
+        "data"
+    ] / cost == pytest.approx(float(plain.multipliers.integrals["lift"]), rel=1e-3)
+    np.testing.assert_allclose(
+        other.multipliers.path_constraints["ceiling"] * unit["ceiling"] / cost,
+        plain.multipliers.path_constraints["ceiling"],
+        atol=2e-3,
+    )
+
+
+def test_the_constraints_matter(plain):
+    """Or the invariance above would say nothing about their multipliers."""
+    assert float(jnp.max(plain.multipliers.path_constraints["ceiling"])) > 1e-3
+    assert float(plain.multipliers.integrals["lift"]) < -1e-3
+    assert float(plain.integrals["lift"]) == pytest.approx(3.0, abs=1e-5)

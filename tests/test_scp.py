@@ -1,0 +1,205 @@
+"""The paper's theorems as properties of both methods, seen step by step.
+
+A point mass flies around a disc in free time and must cover a distance integral: every
+kind of constraint the methods treat, small enough to compile fast.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxscp
+from jaxscp import Bounds, Integral, OptimalControlProblem
+from jaxscp._model import (
+    integral_limits,
+    penalized_cost,
+    violations,
+    worst_violation,
+)
+from jaxscp._scp import run
+from jaxscp._transcription import Transcription, Variables
+
+NODES = 12
+
+
+def drift(t, x, u):
+    # Nonlinear enough for defects: thrust fades with speed.
+    return jnp.concatenate([x[2:], u / (1.0 + 0.1 * (x[2:] @ x[2:]))])
+
+
+def effort(t, x, u):
+    return u @ u + 0.1
+
+
+def disc(t, x, u):
+    return jnp.stack([1.0 - jnp.hypot(x[0] - 5.0, x[1] - 0.2)])
+
+
+def height(t, x, u):
+    return x[1]
+
+
+PROBLEM = OptimalControlProblem(
+    drift,
+    running_cost=effort,
+    state=Bounds([-20.0, -20.0, -4.0, -4.0], [20.0, 20.0, 4.0, 4.0]),
+    control=Bounds([-2.0, -2.0], [2.0, 2.0]),
+    initial_state=Bounds.exactly([0.0, 0.0, 0.0, 0.0]),
+    final_state=Bounds.exactly([10.0, 0.0, 0.0, 0.0]),
+    final_time=Bounds(4.0, 40.0),
+    path_constraints={"disc": disc},
+    integrals={"height": Integral(height, Bounds.at_least(-12.0))},
+)
+GUESS = jaxscp.straight_line(PROBLEM, NODES, final_time=10.0, control=[0.1, -0.1])
+METHODS = {
+    "proximal": jaxscp.ProximalSCP(tolerance=1e-7, feasibility_tolerance=1e-7),
+    "paper": jaxscp.PaperSCP(max_iterations=30, tolerance=1e-6),
+}
+
+
+@pytest.fixture(scope="module", params=METHODS, ids=str)
+def states(request):
+    """The method, the transcription and every state from the first to the last."""
+    method = METHODS[request.param]
+    transcription = Transcription(PROBLEM, jaxscp.Discretization(), GUESS.fractions)
+    step = eqx.filter_jit(method.step)
+    ended = eqx.filter_jit(lambda t, s: method.terminate(t, s)[0])
+    state = eqx.filter_jit(method.init)(transcription, transcription.variables(GUESS))
+    states = [state]
+    while not bool(ended(transcription, state)):
+        state = step(transcription, state)
+        states.append(state)
+    return method, transcription, states
+
+
+def history(states):
+    _, _, every = states
+    count = int(every[-1].records)
+    return {
+        name: np.asarray(values)[:count]
+        for name, values in vars(every[-1].history).items()
+    }
+
+
+def test_stepping_by_hand_is_the_loop(states):
+    method, transcription, every = states
+    looped, _ = eqx.filter_jit(run)(method, transcription, transcription.variables(GUESS))
+    assert int(looped.iterations) == int(every[-1].iterations)
+    np.testing.assert_allclose(
+        looped.iterate.variables.states, every[-1].iterate.variables.states, atol=1e-12
+    )
+
+
+def test_ends_feasible(states):
+    _, transcription, every = states
+    limits = integral_limits(transcription, every[-1].scaling)
+    assert float(worst_violation(every[-1].iterate.residuals, limits)) < 1e-4
+    # And the guess was not: the disc stands in the way.
+    assert float(jnp.max(disc(0.0, GUESS.states[6], None))) > 0.3
+
+
+def test_predicted_reduction_is_never_negative(states):
+    """Theorem 1, but for the QP solver's tolerance."""
+    seen = history(states)
+    assert (seen["predicted_reduction"] >= -1e-7 * seen["penalized_cost"]).all()
+
+
+def test_acceptance_never_raises_the_penalized_cost(states):
+    """Theorem 3's first step: each accepted step lowers the cost it was judged by."""
+    seen = history(states)
+    accepted = seen["accepted"] == 1
+    assert accepted.any()
+    assert (seen["actual_reduction"][accepted] >= 0).all()
+    assert not (
+        seen["actual_reduction"][accepted]
+        < 0.01 * seen["predicted_reduction"][accepted] - 1e-12
+    ).any()
+
+
+def test_rejection_stays_and_shrinks(states):
+    _, _, every = states
+    for before, after in zip(every[:-1], every[1:], strict=True):
+        record = jax.tree.map(lambda h, k=int(before.records): h[k], after.history)
+        same = np.array_equal(
+            before.iterate.variables.states, after.iterate.variables.states
+        )
+        assert same == (float(record.accepted) == 0)
+        if float(record.ratio) < 0.25:
+            assert float(after.radius) < float(before.radius)
+
+
+def test_limits_hold_at_every_iterate(states):
+    _, transcription, every = states
+    for state in every:
+        variables = state.iterate.variables
+        low, high = transcription.state_limits
+        assert float(jnp.max(low - variables.states)) < 1e-6
+        assert float(jnp.max(variables.states - high)) < 1e-6
+        assert float(jnp.max(jnp.abs(variables.controls))) < 2.0 + 1e-6
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_ratio_tends_to_one_as_the_radius_shrinks(name):
+    """Theorem 2, at a point that is not stationary."""
+    method = METHODS[name]
+    transcription = Transcription(PROBLEM, jaxscp.Discretization(), GUESS.fractions)
+    step = eqx.filter_jit(method.step)
+    start = eqx.filter_jit(method.init)(transcription, transcription.variables(GUESS))
+    # A few steps in: at the guess itself nothing is smooth in time, as all speeds are 0.
+    for _ in range(2):
+        start = step(transcription, start)
+    misses = []
+    for radius in (1e-1, 1e-2, 1e-3, 1e-4):
+        state = eqx.tree_at(lambda s: s.radius, start, jnp.asarray(radius))
+        after = step(transcription, state)
+        misses.append(abs(1.0 - float(after.history.ratio[int(state.records)])))
+    assert misses[-1] < 1e-2
+    assert misses[-1] <= misses[0]
+
+
+def test_a_stationary_point_predicts_nothing(states):
+    """Theorem 1: the predicted reduction vanishes where the iteration ends."""
+    method, _, every = states
+    seen = history(states)
+    first, last = seen["predicted_reduction"][0], seen["predicted_reduction"][-1]
+    if isinstance(method, jaxscp.ProximalSCP):
+        assert last < 1e-6
+    assert last < 1e-2 * first
+
+
+def test_penalty_counts_each_violation_once():
+    """The exact penalty by hand, from residuals of known size."""
+    transcription = Transcription(PROBLEM, jaxscp.Discretization(), GUESS.fractions)
+    residuals = transcription.evaluate(transcription.variables(GUESS), 4)
+    limits = jnp.array([-1.0]), jnp.array([jnp.inf])
+    broken = violations(residuals, limits)
+    weights = jax.tree.map(jnp.ones_like, broken)
+    total = float(jnp.sum(residuals.increments[:, 0]))
+    expected = float(residuals.objective)
+    expected += float(np.abs(np.asarray(residuals.defects)).sum())
+    expected += float(np.maximum(np.asarray(residuals.path), 0).sum())
+    expected += max(-1.0 - total, 0.0)
+    assert float(penalized_cost(residuals, limits, weights)) == pytest.approx(expected)
+
+
+def test_paper_trust_region_holds_at_every_node():
+    """Eq. 19 with infinity norms, in scaled variables."""
+    method = METHODS["paper"]
+    transcription = Transcription(PROBLEM, jaxscp.Discretization(), GUESS.fractions)
+    state = method.init(transcription, transcription.variables(GUESS))
+    state = eqx.tree_at(lambda s: s.radius, state, jnp.asarray(0.05))
+    after = eqx.filter_jit(method.step)(transcription, state)
+    step: Variables = after.solution.step
+    size = jnp.max(jnp.abs(step.states), axis=1) + jnp.abs(step.final_time)
+    size = size.at[:-1].add(jnp.max(jnp.abs(step.controls), axis=1))
+    assert float(jnp.max(size)) == pytest.approx(0.05, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    "settings", [{"rho_1": 0.8}, {"rho_0": 0.0}, {"alpha": 1.0}], ids=str
+)
+def test_paper_parameters_are_checked(settings):
+    with pytest.raises(ValueError, match=next(iter(settings))):
+        jaxscp.PaperSCP(**settings)
