@@ -69,7 +69,9 @@ def costly_pendulum() -> OptimalControlProblem:
 
 
 def transcribed(problem, fractions, hold=ZERO_ORDER, quadrature=Quadrature.FLOW):
-    return Transcription(problem, Discretization(hold, quadrature), jnp.asarray(fractions))
+    return Transcription(
+        problem, Discretization(hold, quadrature), jnp.asarray(fractions)
+    )
 
 
 def point(transcription, final_time=2.5, seed=0) -> Variables:
@@ -157,7 +159,10 @@ def test_order_four_and_time_in_seconds(hold):
 
 def test_the_state_within_an_interval():
     problem = problem_of(linear, 3, 2)
-    start, u = jnp.array([1.0, -0.5, 2.0]), (jnp.array([0.5, -1.0]), jnp.array([2.0, 0.0]))
+    start, u = (
+        jnp.array([1.0, -0.5, 2.0]),
+        (jnp.array([0.5, -1.0]), jnp.array([2.0, 0.0])),
+    )
     span, final_time = (jnp.array(0.2), jnp.array(0.3)), jnp.array(2.5)
     # A share of 0.4 of an interval of 0.75 s.
     transition, constant, ramp = exponential(0.3)
