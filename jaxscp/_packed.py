@@ -5,7 +5,7 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from ._types import Array, PyTree
+from ._types import PyTree
 
 
 class Packed(eqx.Module):
@@ -14,7 +14,7 @@ class Packed(eqx.Module):
     `jax.jit` and `jax.vmap` return nothing but arrays, and a problem holds functions.
     """
 
-    arrays: list[Array | None]
+    arrays: list[Any]
     others: tuple[Any, ...] = eqx.field(static=True)
     structure: Any = eqx.field(static=True)
 

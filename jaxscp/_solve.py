@@ -2,10 +2,12 @@
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ._diagnosis import Violations
 from ._discretization import Discretization
@@ -70,6 +72,7 @@ def solve(
     """
     begun = time.perf_counter()
     check_precision()
+    problem = jax.tree.map(_as_parameter, problem)
     check_problem(problem)
     if guess is None:
         guess = straight_line(problem, nodes)
@@ -87,6 +90,11 @@ def solve(
         failed = solution.status != Status.converged
         return solution.status.error_if(solution, failed)
     return solution
+
+
+def _as_parameter(leaf: Any) -> Any:
+    """NumPy arrays are parameters too."""
+    return jnp.asarray(leaf) if isinstance(leaf, (np.ndarray, np.generic)) else leaf
 
 
 @eqx.filter_jit

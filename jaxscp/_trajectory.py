@@ -50,11 +50,17 @@ def time_grid(nodes: int | ArrayLike) -> Float[Array, " N"]:
         )
     if is_concrete(fractions):
         values = np.asarray(fractions)
-        rises = np.all(np.diff(values) > 0)
-        if not rises or abs(values[0]) > 1e-12 or abs(values[-1] - 1) > 1e-12:
+        stuck = ~(np.diff(values) > 0)
+        if stuck.any():
+            at = int(np.argmax(stuck))
             raise ValueError(
-                f"nodes={values}: fractions must rise strictly from 0 to 1; "
-                "sort them, drop repeated ones and divide by the last."
+                f"nodes[{at + 1}]={values[at + 1]:g} follows {values[at]:g}: fractions "
+                "must rise strictly from 0 to 1; sort them and drop repeated ones."
+            )
+        if abs(values[0]) > 1e-12 or abs(values[-1] - 1) > 1e-12:
+            raise ValueError(
+                f"nodes run from {values[0]:g} to {values[-1]:g}: fractions must rise "
+                "from 0 to 1; subtract the first and divide by the last."
             )
     return fractions
 

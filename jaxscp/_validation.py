@@ -4,13 +4,16 @@ Each error names the field, its value and the fix. Values are checked where they
 known, which is not so inside `jax.jit`; shapes always.
 """
 
+import functools
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ._bounds import Bounds
+from ._packed import Packed
 from ._problem import OptimalControlProblem
 from ._trajectory import Trajectory, time_grid
 from ._types import is_concrete
@@ -97,22 +100,34 @@ def _check_bounds(name: str, bounds: Bounds, shape: tuple[int, ...] | None) -> N
         )
     if not is_concrete(bounds.lower, bounds.upper):
         return
-    lower, upper = np.asarray(bounds.lower), np.asarray(bounds.upper)
-    fixed = bounds.is_fixed
-    if not np.isfinite(lower[fixed]).all() or not np.isfinite(upper[fixed]).all():
+    lower, upper = np.asarray(bounds.lower).ravel(), np.asarray(bounds.upper).ravel()
+    fixed = np.array(bounds.fixed, bool)
+
+    def entry(broken: np.ndarray) -> tuple[str, float, float]:
+        first = int(np.argmax(broken))
+        place = f"{name}[{first}]" if bounds.shape else name
+        return place, float(lower[first]), float(upper[first])
+
+    infinite = fixed & ~(np.isfinite(lower) & np.isfinite(upper))
+    if infinite.any():
+        place, value, _ = entry(infinite)
         raise ValueError(
-            f"{name}: fixed entries must be finite, got {lower[fixed]}; give a number, "
-            "or different infinite limits where an entry is free."
+            f"{place}={value:g} is fixed but not finite; give a number, or different "
+            "infinite limits where an entry is free."
         )
-    if (lower > upper).any() or np.isnan(lower).any() or np.isnan(upper).any():
+    crossed = ~(lower <= upper)
+    if crossed.any():
+        place, low, high = entry(crossed)
         raise ValueError(
-            f"{name}: lower={lower} must not exceed upper={upper}, nor be NaN; swap or "
-            "widen them."
+            f"{place}: lower={low:g} must not exceed upper={high:g}, nor may either be "
+            "NaN; swap or widen them."
         )
-    if (lower[fixed] != upper[fixed]).any():
+    parted = fixed & (lower != upper)
+    if parted.any():
+        place, low, high = entry(parted)
         raise ValueError(
-            f"{name}: fixed entries have lower={lower[fixed]} and upper={upper[fixed]}; "
-            "set both ends to the same number, or make new Bounds."
+            f"{place} is fixed but has lower={low:g} and upper={high:g}; set both ends "
+            "to the same number, or make new Bounds."
         )
 
 
@@ -135,24 +150,44 @@ def _check_reachable(problem: OptimalControlProblem, name: str) -> None:
 
 
 def _check_functions(problem: OptimalControlProblem) -> None:
-    """Shapes and types of what the callables return, without computing anything."""
+    """Shapes and types of what the callables return, without computing anything.
+
+    Looked at once for each structure of a problem: numbers do not change them.
+    """
+    packed = Packed.of(problem)
+    outlines = tuple(
+        None if array is None else (array.shape, array.dtype) for array in packed.arrays
+    )
+    _functions_fit(packed.structure, packed.others, outlines)
+
+
+@functools.lru_cache(maxsize=128)
+def _functions_fit(structure, others, outlines) -> None:
+    arrays = [None if o is None else jax.ShapeDtypeStruct(*o) for o in outlines]
+    packed = Packed(arrays, others, structure)
+
+    def check(name: str, pick: Callable, shape: tuple[int, ...] | None, *arguments):
+        def call(packed, *arguments):
+            return pick(packed.unpack())(*arguments)
+
+        _check_output(name, jax.eval_shape(call, packed, *arguments), shape)
+
+    problem = packed.unpack()
     t = jax.ShapeDtypeStruct((), jnp.float64)
     x = jax.ShapeDtypeStruct(problem.state.shape, jnp.float64)
     u = jax.ShapeDtypeStruct(problem.control.shape, jnp.float64)
-    _check_output("dynamics", problem.dynamics, (t, x, u), problem.state.shape)
-    _check_output("running_cost", problem.running_cost, (t, x, u), ())
-    _check_output("terminal_cost", problem.terminal_cost, (t, x), ())
-    for name, constraint in problem.path_constraints.items():
-        _check_output(f"path_constraints[{name!r}]", constraint, (t, x, u), None)
-    for name, integral in problem.integrals.items():
+    check("dynamics", lambda p: p.dynamics, problem.state.shape, t, x, u)
+    check("running_cost", lambda p: p.running_cost, (), t, x, u)
+    check("terminal_cost", lambda p: p.terminal_cost, (), t, x)
+    for name in problem.path_constraints:
+        field = f"path_constraints[{name!r}]"
+        check(field, lambda p, name=name: p.path_constraints[name], None, t, x, u)
+    for name in problem.integrals:
         field = f"integrals[{name!r}].integrand"
-        _check_output(field, integral.integrand, (t, x, u), ())
+        check(field, lambda p, name=name: p.integrals[name].integrand, (), t, x, u)
 
 
-def _check_output(
-    name: str, function: Callable, arguments: tuple, shape: tuple[int, ...] | None
-) -> None:
-    output = jax.eval_shape(function, *arguments)
+def _check_output(name: str, output: Any, shape: tuple[int, ...] | None) -> None:
     if not hasattr(output, "shape"):
         raise ValueError(
             f"{name} returns {type(output).__name__}; return one array, "

@@ -143,7 +143,7 @@ SHAPES = {
 VALUES = {
     "NaN at the start": (
         lambda: with_leaf(
-            lambda p: (p.initial_state.lower), np.where(SHARES > 0.6, np.nan, 0.0)
+            lambda p: p.initial_state.lower, np.where(SHARES > 0.6, np.nan, 0.0)
         ),
         r"initial_state: .*nan.*give a number",
     ),
@@ -173,7 +173,7 @@ VALUES = {
     ),
     "state upside down": (
         lambda: with_leaf(lambda p: p.state.lower, 10 * SHARES + 6),
-        r"state: lower.*9\.33.*exceed.*upper.*9.*; (swap|widen)",
+        r"state: lower.*exceed.*upper.*9.*; (swap|widen)",
     ),
     "integral upside down": (
         lambda: with_leaf(lambda p: p.integrals["flow"].bounds.lower, 4.5),
@@ -181,7 +181,7 @@ VALUES = {
     ),
     "ends of a fixed entry apart": (
         lambda: with_leaf(lambda p: p.final_state.lower, SHARES - 0.125),
-        r"final_state: .*lower.*0\.208.*upper.*0\.333.*set both ends to the same number",
+        r"final_state: .*lower.*0\.\d+.*upper.*0\.\d+.*set both ends to the same number",
     ),
     "start above the limits": (
         lambda: tanks(initial_state=Bounds.exactly(12 * SHARES + 1.5)),
@@ -292,17 +292,23 @@ def test_bad_limits(limits, message):
     [
         (1, "nodes=1: .*at least 2 nodes"),
         (-3, "nodes=-3: .*at least 2 nodes"),
-        ([0.0], r"nodes has shape \(1,\): give .*at least 2"),
-        ([[0.0, 1.0]], r"nodes has shape \(1, 2\): give .*vector"),
-        (np.linspace(0.0, 1.0, 41)[::-1], "nodes=.*0.975.*: fractions must rise.*sort"),
-        ([0.0, 0.5, 0.5, 1.0], "nodes=.*0.5 .*: fractions must rise.*drop repeated"),
-        ([0.0, 0.5, 2.0], "nodes=.*2.*from 0 to 1; .*divide by the last"),
-        ([0.25, 1.0], "nodes=.*0.25.*from 0 to 1; "),
-        ([0.0, np.nan, 1.0], "nodes=.*nan.*fractions must rise"),
+        (np.zeros(1), r"nodes has shape \(1,\): give .*at least 2"),
+        (np.eye(2), r"nodes has shape \(2, 2\): give .*vector"),
+        (np.linspace(1.0, 0.0, 41), "nodes.*: fractions must rise.*sort"),
+        (np.array([0, 0.5, 0.5, 1]), "nodes=.*0.5 .*: fractions must rise.*drop"),
+        (np.array([0, 0.5, 2]), "nodes=.*2.*from 0 to 1; .*divide by the last"),
+        (np.array([0.25, 1]), "nodes=.*0.25.*from 0 to 1; "),
+        (np.array([0, np.nan, 1]), "nodes=.*nan.*fractions must rise"),
     ],
 )
 def test_bad_nodes(nodes, message):
-    problem = tanks()
+    # One tank more: no guess for so many has been made yet.
+    problem = OptimalControlProblem(
+        decay,
+        state=Bounds.free(SIZE + 1),
+        control=Bounds.free(1),
+        final_time=Bounds(1.0, 5.0),
+    )
     refuse(lambda: jaxscp.solve(problem, nodes=nodes), f"^{message}")
 
 
