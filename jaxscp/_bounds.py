@@ -60,16 +60,17 @@ class Bounds(eqx.Module):
             return
         lower, upper = np.asarray(self.lower), np.asarray(self.upper)
         if np.isnan(lower).any() or np.isnan(upper).any():
+            at = _largest(np.isnan(lower) | np.isnan(upper))
             raise ValueError(
-                f"Bounds: lower={lower} and upper={upper} must not hold NaN; "
-                "write an infinite limit where an entry is free."
+                f"Bounds: lower{_place(at)}={lower[at]:g}, upper{_place(at)}="
+                f"{upper[at]:g} must not be NaN; write an infinite limit where an "
+                "entry is free."
             )
         if (lower > upper).any():
-            worst = np.unravel_index(np.argmax(lower - upper), lower.shape)
-            at = f"[{worst[0]}]" if worst else ""
+            at = _largest(lower - upper)
             raise ValueError(
-                f"Bounds: lower{at}={lower[worst]:g} exceeds "
-                f"upper{at}={upper[worst]:g}; swap them or widen the range."
+                f"Bounds: lower{_place(at)}={lower[at]:g} exceeds "
+                f"upper{_place(at)}={upper[at]:g}; swap them or widen the range."
             )
         if len(self.fixed) != lower.size:
             raise ValueError(
@@ -131,3 +132,12 @@ class Bounds(eqx.Module):
 def _inexact(value: ArrayLike) -> Array:
     # A weakly typed array, as of a Python number, would compile anew.
     return jnp.asarray(value, float)
+
+
+def _largest(values: ArrayLike) -> tuple[int, ...]:
+    shaped = np.nan_to_num(np.asarray(values, float))
+    return tuple(int(i) for i in np.unravel_index(np.argmax(shaped), shaped.shape))
+
+
+def _place(index: tuple[int, ...]) -> str:
+    return "".join(f"[{entry}]" for entry in index)

@@ -132,6 +132,8 @@ class ProximalSCP(AbstractSCP):
         # A heavy proximal term makes every prediction small: take it out again.
         held_back = jnp.maximum(1.0, 1.0 / state.radius)
         stationary = judgement.predicted * held_back <= self.tolerance
+        # Or where violations outweigh the cost: within what a QP solver resolves.
+        stationary |= judgement.predicted <= 1e-9 * jnp.abs(judgement.reference)
         stationary &= trial.solution.effort.solved
         limits = integral_limits(transcription, state.scaling)
         here = tree_where(judgement.accepted, trial.residuals, state.iterate.residuals)

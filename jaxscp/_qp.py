@@ -118,8 +118,11 @@ class Workspace:
         # alarm, which wide ranges of multipliers do set off.
         options.eps_dual_inf = 1e-15
         if multistage:
-            # The blocks come scaled; equilibrating them again takes a fifth of the time.
+            # The blocks come scaled; equilibrating them takes a fifth of the time.
             options.preconditioner_iter = 0
+        else:
+            # Prices of virtual variables dwarf the rest of the cost.
+            options.preconditioner_scale_cost = True
         options.compute_timings = True
 
     def solve(self, qp: QP) -> QPSolution:

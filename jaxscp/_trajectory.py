@@ -83,6 +83,7 @@ def straight_line(
 
     **Raises:** `ValueError` if no flight time is given and its range is infinite.
     """
+    nodes = time_grid(nodes)
     start = _boundary(problem, "initial_state")
     goal = _boundary(problem, "final_state")
     # An end that leaves an entry open takes the other end's value.

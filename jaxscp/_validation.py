@@ -110,7 +110,8 @@ def _check_bounds(name: str, bounds: Bounds, shape: tuple[int, ...] | None) -> N
 
     infinite = fixed & ~(np.isfinite(lower) & np.isfinite(upper))
     if infinite.any():
-        place, value, _ = entry(infinite)
+        place, *ends = entry(infinite)
+        value = next(end for end in ends if not np.isfinite(end))
         raise ValueError(
             f"{place}={value:g} is fixed but not finite; give a number, or different "
             "infinite limits where an entry is free."

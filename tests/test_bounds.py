@@ -56,8 +56,8 @@ def test_what_is_fixed(bounds, lower, upper, fixed):
             r"lower\[1\]=2 exceeds upper\[1\]=1; swap",
         ),
         ((2.0, 1.0), "lower=2 exceeds upper=1"),
-        ((array([0.0, np.nan]), 1.0), "must not hold NaN"),
-        ((0.0, np.nan), "must not hold NaN"),
+        ((array([0.0, np.nan]), 1.0), "must not be NaN"),
+        ((0.0, np.nan), "must not be NaN"),
     ],
 )
 def test_impossible_limits(limits, message):

@@ -1,6 +1,7 @@
 """Flows, their Jacobians and the discrete problem, against SciPy and differences."""
 
 import functools
+import itertools
 
 import equinox as eqx
 import jax
@@ -303,7 +304,7 @@ def test_integrals_along_the_flow():
     x, u = np.asarray(variables.states)[:, 0], np.asarray(variables.controls)[:, 0]
     residuals = evaluate(transcription, variables, jnp.asarray(100))
     times = 2.5 * UNEVEN
-    for k, (begin, end) in enumerate(zip(times[:-1], times[1:], strict=True)):
+    for k, (begin, end) in enumerate(itertools.pairwise(times)):
 
         def squared(t, k=k, begin=begin):
             return np.cos(t) * (x[k] * np.exp(begin - t)) ** 2
@@ -338,6 +339,10 @@ def test_the_trapezoidal_rule():
     flow = evaluate(along, variables, jnp.asarray(3))
     assert_allclose(residuals.defects, flow.defects, rtol=1e-13)
     assert not np.allclose(residuals.increments, flow.increments, rtol=1e-3)
+    # Scales are taken from the rule whatever the quadrature, the terminal cost included.
+    terminal = 2.5**2 * x[0, -1] + x[1, -1] ** 2 * x[0, -1]
+    rough = eqx.filter_jit(Transcription.rough_totals)(along, variables)
+    assert_allclose(rough, totals + np.array([0.0, 0.0, terminal]), rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -113,7 +113,9 @@ def test_units_do_not_matter(plain, units):
     )
     # Multipliers carry the units of the cost per unit of their constraint.
     np.testing.assert_allclose(
-        np.asarray(other.multipliers.dynamics) * size / cost, plain.multipliers.dynamics, atol=2e-3
+        np.asarray(other.multipliers.dynamics) * size / cost,
+        plain.multipliers.dynamics,
+        atol=2e-3,
     )
     assert float(other.multipliers.integrals["lift"]) * unit[
         "data"

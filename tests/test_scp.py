@@ -4,6 +4,8 @@ A point mass flies around a disc in free time and must cover a distance integral
 kind of constraint the methods treat, small enough to compile fast.
 """
 
+import itertools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -120,7 +122,7 @@ def test_acceptance_never_raises_the_penalized_cost(states):
 
 def test_rejection_stays_and_shrinks(states):
     _, _, every = states
-    for before, after in zip(every[:-1], every[1:], strict=True):
+    for before, after in itertools.pairwise(every):
         record = jax.tree.map(lambda h, k=int(before.records): h[k], after.history)
         same = np.array_equal(
             before.iterate.variables.states, after.iterate.variables.states

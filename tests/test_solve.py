@@ -18,6 +18,7 @@ from test_validation import compilations
 
 import jaxscp
 from jaxscp import Bounds, Integral, OptimalControlProblem, _qp
+from jaxscp._diagnosis import Violations, explain
 
 NODES = 6
 GOAL = 3.0
@@ -312,11 +313,30 @@ def test_nan_between_the_nodes():
     assert solution.message.endswith("it happens within an interval.")
 
 
+def test_many_states_stay_on_one_line():
+    size = 25
+    problem = OptimalControlProblem(
+        lambda t, x, u: x / 0.0,
+        state=Bounds.free(size),
+        control=Bounds.free(1),
+        initial_state=Bounds.exactly(np.linspace(1.0, 2.0, size)),
+        final_time=Bounds(1.0, 2.0),
+    )
+    guess = jaxscp.straight_line(problem, NODES)
+    nothing = Violations(guess.states[1:], {}, {}, (guess.states[0], {}, {}))
+    message = explain(problem, guess, nothing, jaxscp.Status.non_finite)
+    assert "First: the value of dynamics at node 0 (0 s)" in message
+    assert "\n" not in message
+
+
 def test_a_step_into_a_singularity_is_not_taken():
-    # The cheapest way swings back before it starts: there, all is NaN.
-    free = {"final_time": (3.999, 4.0), "travel": (GOAL, GOAL + 1e-3)}
-    solution = solve(cart(**free, edges={"running_cost": -1e-3}))
-    assert bool(solution.converged), solution.message
+    # A model that is wrong by its sign leads backward, where nothing is a number.
+    solution = solve(cart(deceit=2.0, edges={"dynamics": -1e-3}))
+    assert bool(solution.status == jaxscp.Status.trust_region_collapsed)
+    count = int(solution.statistics.iterations)
+    assert np.isnan(solution.history.defect[:count]).all()
+    assert np.isneginf(solution.history.ratio[:count]).all()
+    assert not np.any(solution.history.accepted[:count])
     assert np.isfinite(solution.trajectory.states).all()
 
 
@@ -424,8 +444,11 @@ def test_a_batch_is_a_loop():
 
 
 def test_new_numbers_compile_nothing():
-    problem = cart(
-        3.5, 0.15, fence=(-1.0, 4.0), travel=(1.0, 10.0), final_time=(2.0, 5.0)
+    limits = {"fence": (-1.0, 4.0), "travel": (1.0, 10.0), "final_time": (2.0, 5.0)}
+    problem = cart(3.5, **limits)
+    # NumPy's numbers are parameters like JAX's.
+    problem = eqx.tree_at(
+        lambda problem: problem.dynamics.function.drag, problem, np.float64(0.15)
     )
     guess = jaxscp.straight_line(problem, np.array(UNEVEN), final_time=3.0)
     first = converged()

@@ -49,11 +49,11 @@ def test_an_uneven_grid_is_kept(widths):
         (array([0.0]), r"nodes has shape \(1,\)"),
         (array([[0.0, 1.0]]), r"nodes has shape \(1, 2\)"),
         (5.0, r"nodes has shape \(\)"),
-        (array([0.0, 0.6, 0.5, 1.0]), "fractions must rise strictly from 0 to 1"),
-        (array([0.0, 0.5, 0.5, 1.0]), "must rise strictly"),
-        (array([0.1, 0.5, 1.0]), "must rise strictly"),
+        (array([0.0, 0.6, 0.5, 1.0]), "fractions must rise"),
+        (array([0.0, 0.5, 0.5, 1.0]), "must rise"),
+        (array([0.1, 0.5, 1.0]), "must rise"),
         (array([0.0, 5.0, 10.0]), "divide by the last"),
-        (array([0.0, np.nan, 1.0]), "must rise strictly"),
+        (array([0.0, np.nan, 1.0]), "must rise"),
     ],
 )
 def test_bad_grids(nodes, message):

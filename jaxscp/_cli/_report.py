@@ -120,7 +120,8 @@ def position_error(verification: Verification) -> float:
 def largest_defect(solution: Solution) -> float:
     """Largest defect of the last iterate, relative to the states' scales."""
     scales, _, _ = solution.violations.scales
-    return float(np.max(np.abs(solution.violations.dynamics) / scales))
+    defects = np.abs(np.asarray(solution.violations.dynamics))
+    return float(np.max(defects / np.asarray(scales)))
 
 
 def data_bits(mission: Mission, verification: Verification) -> float:

@@ -1,5 +1,6 @@
 """What a run spends on imports and on compilation."""
 
+import math
 import os
 import time
 from typing import Any
@@ -17,7 +18,7 @@ class CompileClock:
 
     @property
     def seconds(self) -> float:
-        return sum(end - begin for begin, end in self._spans)
+        return math.fsum(end - begin for begin, end in self._spans)
 
     def __enter__(self) -> "CompileClock":
         jax.monitoring.register_event_duration_secs_listener(self._record)

@@ -1,6 +1,7 @@
 """States, controls and convergence of any solution."""
 
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -19,7 +20,11 @@ def dense(solution: Solution) -> Trajectory:
     return solution.sample(np.linspace(0.0, final_time, SAMPLES))
 
 
-def states(axes: Sequence[Axes], solution: Solution) -> Sequence[Axes]:
+# A list, or what `Figure.subplots` gives.
+ManyAxes: TypeAlias = Sequence[Axes] | np.ndarray
+
+
+def states(axes: ManyAxes, solution: Solution) -> ManyAxes:
     """Draw every state over time: a curve, its nodes, and its limits shaded.
 
     **Arguments:**
@@ -40,7 +45,7 @@ def states(axes: Sequence[Axes], solution: Solution) -> Sequence[Axes]:
     return axes
 
 
-def controls(axes: Sequence[Axes], solution: Solution) -> Sequence[Axes]:
+def controls(axes: ManyAxes, solution: Solution) -> ManyAxes:
     """Draw every control over time, with the hold that was used and limits shaded.
 
     **Arguments:**
@@ -109,7 +114,7 @@ def _finish(ax: Axes, name: str, unit: str, bounds: Bounds, index: int) -> None:
     ax.set_ylabel(label(name, unit))
 
 
-def _check_count(axes: Sequence[Axes], names: tuple[str, ...], kind: str) -> None:
+def _check_count(axes: ManyAxes, names: tuple[str, ...], kind: str) -> None:
     if len(axes) != len(names):
         raise ValueError(
             f"axes has {len(axes)} entries for {len(names)} {kind}s; give one for each "
