@@ -265,4 +265,7 @@ def _box(layout: Layout, limits: Limits, *, relaxed: bool):
         lower[columns] = 0.0
     if relaxed:
         lower[layout.virtual] = 0.0
+    if layout.time_norm >= 0:
+        # Also where there is nothing to bound: a node without a control of its own.
+        lower[layout.norms] = lower[layout.time_norm] = 0.0
     return lower, upper

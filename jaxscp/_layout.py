@@ -9,6 +9,7 @@ import dataclasses
 
 import numpy as np
 
+from ._discretization import Quadrature
 from ._qp import SparsePattern
 from ._transcription import Transcription
 
@@ -21,6 +22,7 @@ class Structure:
     - `path_size`: p. `integrals`: q.
     - `fixed_states` (N x n), `fixed_controls` (m), `fixed_integrals` (q), `fixed_time`:
         which entries are equalities.
+    - `right_control`, `right_state`: which right ends an interval's quantities see.
     - `relaxed`: with virtual control. `ball`: with a hard infinity-norm trust region.
     """
 
@@ -34,6 +36,8 @@ class Structure:
     fixed_controls: tuple[bool, ...]
     fixed_integrals: tuple[bool, ...]
     fixed_time: bool
+    right_control: bool
+    right_state: bool
     relaxed: bool = False
     ball: bool = False
 
@@ -52,6 +56,8 @@ class Structure:
             fixed_controls=problem.control.fixed,
             fixed_integrals=tuple(integral.bounds.fixed[0] for integral in integrals),
             fixed_time=problem.final_time.fixed[0],
+            right_control=transcription.discretization.hold.control_nodes(2) == 2,
+            right_state=transcription.discretization.quadrature is Quadrature.TRAPEZOID,
             **options,
         )
 

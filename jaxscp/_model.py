@@ -9,10 +9,10 @@ from ._types import Array, Float, Scalar
 
 
 class PerConstraint(eqx.Module):
-    """PerConstraint of the constraints, or penalty weights: one number an entry.
+    """One number for each entry of each constraint: multipliers, weights, violations.
 
-    For a Lagrangian J + sum(multiplier x constraint) with constraints written as
-    defects = 0, g <= 0, and integral minus its active bound.
+    Multipliers belong to the Lagrangian J + sum(multiplier x constraint), with the
+    constraints defects = 0, g <= 0, and integral minus its active bound.
     """
 
     dynamics: Float[Array, "I n"]

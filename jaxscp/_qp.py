@@ -28,6 +28,10 @@ class SparsePattern:
 
     def fill(self, values: np.ndarray) -> csc_matrix:
         """The matrix with these values; the same object every time."""
+        if values.size != self._order.size:
+            raise ValueError(
+                f"SparsePattern: {values.size} values for {self._order.size} places."
+            )
         np.take(values, self._order, out=self.matrix.data)
         return self.matrix
 

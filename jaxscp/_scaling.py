@@ -1,4 +1,4 @@
-"""Scales of variables and constraints, and the convex model in scaled numbers.
+"""Scales of variables, constraints and cost.
 
 Every quantity is divided by its typical size, so that one trust region and one
 tolerance fit all of them. Metres and radians do not meet again until the solution.
@@ -103,7 +103,7 @@ def automatic_scaling(transcription: Transcription, guess: Variables) -> Scaling
     sizes = Scaling(
         state=_scale(problem.state, jnp.concatenate([guess.states, ends])),
         control=_scale(problem.control, guess.controls),
-        time=jnp.abs(guess.final_time),
+        time=_first_positive(_given(problem.final_time), jnp.abs(guess.final_time)),
         integral=jnp.array(integral).reshape(len(totals)),
         path=jnp.ones(path_size),
         objective=jnp.ones(()),
@@ -119,7 +119,7 @@ def automatic_scaling(transcription: Transcription, guess: Variables) -> Scaling
 def _scale(
     bounds: Bounds, values: Float[Array, "values *shape"], absolute: bool = False
 ) -> Float[Array, "*shape"]:
-    given = jnp.full(bounds.shape, jnp.nan) if bounds.scale is None else bounds.scale
+    given = _given(bounds)
     limits = 0.5 * (bounds.upper - bounds.lower)
     if absolute:
         largest = jnp.maximum(_finite(bounds.lower), _finite(bounds.upper))
@@ -129,6 +129,11 @@ def _scale(
     if absolute:
         limits = jnp.where(jnp.isfinite(limits), limits, largest)
     return _first_positive(given, limits, extent, jnp.nanmax(jnp.abs(seen), axis=0))
+
+
+def _given(bounds: Bounds) -> Array:
+    """The scale the bounds state; NaN where it is to be found."""
+    return jnp.full(bounds.shape, jnp.nan) if bounds.scale is None else bounds.scale
 
 
 def _finite(values: Array) -> Array:

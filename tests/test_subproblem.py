@@ -439,9 +439,9 @@ def test_the_assembled_rows_are_the_models(name):
     )
 
 
-@pytest.mark.parametrize("drifted", [2.8, 0.5])
-def test_cheap_buffers_are_used(drifted):
-    parts, prices = parts_of(drifted=drifted), prices_of(path=20.0, integral=3.0)
+@pytest.mark.parametrize(("drifted", "price"), [(2.8, 3.0), (-20.0, 3.0)])
+def test_cheap_buffers_are_used(drifted, price):
+    parts, prices = parts_of(drifted=drifted), prices_of(path=20.0, integral=price)
     solution = solve(structure_of(), PRECISE, parts.model, prices, parts.limits)
     assert int(solution.effort.solves) == 1
     assert_allclose(step_of(solution), optimum(parts, prices), atol=1e-6)
@@ -452,7 +452,7 @@ def test_cheap_buffers_are_used(drifted):
     assert np.max(broken.path) > 1e-4
     # Too much of the drift, or too little of the signal.
     drift, signal = np.asarray(after.totals - limits[0])
-    if drifted == 0.5:
+    if drifted < 0.0:
         assert drift > 1e-3
     else:
         assert signal < -1e-4
@@ -465,7 +465,7 @@ def test_dynamics_that_cannot_be_met_are_relaxed():
     assert bool(solution.effort.solved)
     assert not bool(solution.effort.infeasible)
     assert int(solution.effort.solves) == 2
-    assert_allclose(step_of(solution), optimum(parts, prices), atol=1e-6)
+    assert_allclose(step_of(solution), optimum(parts, prices), atol=1e-5)
     check_optimality(parts, prices, solution, atol=1e-5)
     # What remains of the defects is the virtual control.
     relaxed = structure_of(relaxed=True)
@@ -699,7 +699,7 @@ def test_limits_of_a_step():
             [-9, -9, -INF, -2],
             [-0.33, -0.8, 0.2],
             2,
-            [2.8, 0.5],
+            [2.8, 1.2],
         ),
         (1, [4.0, 0.45, INF, 2.0], [9, 9, INF, 2], [0.33, 0.8, 0.2], 8, [2.8, INF]),
     ):

@@ -1,0 +1,90 @@
+"""How well and how fast the paper's missions are solved: python -m benchmarks.missions
+
+Each mission is solved once with compilation, then repeatedly with other numbers in its
+guess's place: the same. Accuracy stands beside time.
+"""
+
+import argparse
+import json
+import platform
+import statistics
+import time
+from importlib.metadata import version
+from pathlib import Path
+
+import jax
+
+import jaxscp
+from jaxscp import missions
+
+# Objective [N^2 s] that IPOPT (tolerance 1e-8) reached on the same discrete problem:
+# 100 nodes, zero-order hold, integrals along the flow, limits at the nodes.
+BEST_KNOWN = {
+    "free-flight": 24380.67,
+    "urban-flight": 24824.93,
+    "free-space-30MB-60dB": 43607.78,
+    "urban-30MB-60dB": 47262.50,
+}
+
+
+def measure(name: str, nodes: int, repeats: int) -> dict:
+    """Solve one mission cold and warm; seconds are wall-clock."""
+    mission = missions.get(name)
+    problem, guess = mission.problem(), mission.guess(nodes)
+    begun = time.perf_counter()
+    solution = jaxscp.solve(problem, guess, throw=False)
+    cold = time.perf_counter() - begun
+    warm = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        jax.block_until_ready(jaxscp.solve(problem, guess, throw=False))
+        warm.append(time.perf_counter() - begun)
+    statistic = solution.statistics
+    best = BEST_KNOWN.get(name)
+    objective = float(solution.objective)
+    return {
+        "mission": name,
+        "converged": bool(solution.converged),
+        "verified": jaxscp.verify(problem, solution).verified,
+        "objective": objective,
+        "above_best_known": None if best is None else objective / best - 1,
+        "final_time": float(solution.trajectory.final_time),
+        "iterations": int(statistic.iterations),
+        "subproblems": int(statistic.subproblems),
+        "cold_seconds": cold,
+        "warm_seconds": statistics.median(warm),
+        "piqp_seconds": float(statistic.qp_seconds),
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--missions", nargs="*", default=list(BEST_KNOWN))
+    parser.add_argument("--nodes", type=int, default=100)
+    parser.add_argument("--repeats", type=int, default=9)
+    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    arguments = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    rows = []
+    for name in arguments.missions:
+        row = measure(name, arguments.nodes, arguments.repeats)
+        rows.append(row)
+        print(
+            f"{name:22} {row['objective']:12.2f} N^2 s  {row['iterations']:3d} iterations"
+            f"  {row['warm_seconds']:.3f} s warm ({row['piqp_seconds']:.3f} s in PIQP)"
+            f"  {row['cold_seconds']:.1f} s cold  verified: {row['verified']}",
+            flush=True,
+        )
+    if arguments.json:
+        packages = ("jax", "jaxlib", "piqp", "numpy", "equinox")
+        facts = {
+            "machine": platform.machine(),
+            "python": platform.python_version(),
+            "versions": {package: version(package) for package in packages},
+        }
+        text = json.dumps({"facts": facts, "missions": rows}, indent=2)
+        arguments.json.write_text(text + "\n")
+
+
+if __name__ == "__main__":
+    main()
