@@ -1,19 +1,23 @@
 """The QP of a convex subproblem, on the host.
 
-JAX hands over scaled blocks; placing their numbers into a sparse matrix costs less here
-than it would take to compile it.
+JAX hands over scaled blocks in one vector. Each number of the QP is a constant, or plus
+or minus one entry of that vector; which one is found once, by assembling the entries'
+positions in place of their values.
 """
 
+import dataclasses
 import functools
 import threading
 
 import equinox as eqx
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ._discretization import Jacobian
 from ._layout import Entries, Layout, Structure
 from ._model import Model
-from ._qp import PIQP, QP, QPSolution, SparsePattern, Workspace
+from ._qp import PIQP, QP, QPSolution, Workspace
 from ._transcription import Variables
 from ._types import Array, Float, Scalar
 
@@ -44,63 +48,85 @@ class Prices(eqx.Module):
 
 
 class SubproblemData(eqx.Module):
-    """What travels to the host."""
+    """What travels to the host; the Hessian has the proximal term in it."""
 
     model: Model
     gradient: Variables
     prices: Prices
     limits: Limits
 
+    @classmethod
+    def of(cls, model: Model, prices: Prices, limits: Limits) -> "SubproblemData":
+        nodes, size, _ = model.hessian.shape
+        proximal = prices.proximal / nodes * jnp.eye(size)
+        convex = dataclasses.replace(model, hessian=model.hessian + proximal[None])
+        return cls(convex, model.gradient, prices, limits)
+
+
+@dataclasses.dataclass(frozen=True)
+class Outline:
+    """Shapes of a [`SubproblemData`][], to cut it from a vector."""
+
+    tree: jax.tree_util.PyTreeDef
+    shapes: tuple[tuple[int, ...], ...]
+
+    @classmethod
+    def of(cls, data: SubproblemData) -> "Outline":
+        leaves, tree = jax.tree.flatten(data)
+        return cls(tree, tuple(leaf.shape for leaf in leaves))
+
+    @property
+    def size(self) -> int:
+        return sum(int(np.prod(shape)) for shape in self.shapes)
+
+    def cut(self, flat: np.ndarray) -> SubproblemData:
+        """The blocks of a vector that has one leaf after the other."""
+        ends = np.cumsum([int(np.prod(shape)) for shape in self.shapes])[:-1]
+        parts = zip(np.split(flat, ends), self.shapes, strict=True)
+        return jax.tree.unflatten(self.tree, [part.reshape(to) for part, to in parts])
+
 
 @functools.lru_cache(maxsize=32)
-def subproblem_solver(structure: Structure, settings: PIQP) -> "SubproblemSolver":
+def subproblem_solver(
+    structure: Structure, settings: PIQP, outline: Outline
+) -> "SubproblemSolver":
     """The one solver of a structure: its pattern is built and set up once."""
-    return SubproblemSolver(structure, settings)
+    return SubproblemSolver(structure, settings, outline)
 
 
 class SubproblemSolver:
     """Assembles the QPs of one structure, solves them and reads their solutions."""
 
-    def __init__(self, structure: Structure, settings: PIQP):
-        self.structure, self.layout = structure, Layout(structure)
+    def __init__(self, structure: Structure, settings: PIQP, outline: Outline):
+        self.layout = Layout(structure)
         # Virtual variables make the stages too wide to factorize by stages.
         wide = structure.relaxed or structure.ball
         self._workspace = Workspace(settings, multistage=not wide)
-        self._patterns: tuple[SparsePattern, ...] | None = None
+        blank, places = (
+            _assembled(self.layout, structure, outline.cut(numbers))
+            for numbers in (np.zeros(outline.size), 1.0 + np.arange(outline.size))
+        )
+        self._qp = blank
+        self._numbers = blank.in_one_vector()
+        # Infinite limits are infinite with any data.
+        with np.errstate(invalid="ignore"):
+            shift = places.in_one_vector() - self._numbers
+        self._varying = np.flatnonzero(np.nan_to_num(shift))
+        self._signs = np.sign(shift[self._varying])
+        self._places = np.abs(shift[self._varying]).astype(int) - 1
         # Threads may solve problems of the same structure.
         self._lock = threading.Lock()
 
-    def __call__(self, data: SubproblemData) -> tuple[QPSolution, np.ndarray]:
+    def __call__(self, flat: np.ndarray) -> tuple[QPSolution, np.ndarray]:
         """Solution, and the effort as [solves, iterations, seconds]."""
         with self._lock:
-            solution = self._workspace.solve(self.assemble(data))
+            solution = self._workspace.solve(self.assemble(flat))
         return solution, np.array([1.0, solution.iterations, solution.seconds])
 
-    def assemble(self, data: SubproblemData) -> QP:
-        """The QP whose solution is the best step within the model."""
-        layout, structure = self.layout, self.structure
-        first = self._patterns is None
-        P, A, G = (Entries(places=first) for _ in range(3))
-        P.new_rows(layout.columns)
-        b = np.concatenate(
-            [
-                *_dynamics(A, layout, data.model, relaxed=structure.relaxed),
-                *_totals(A, layout, data.model),
-                *_fixed(A, layout, data.limits),
-            ]
-        )
-        h = [*_path(G, layout, data.model)]
-        if structure.ball:
-            h += _ball(G, layout, data.prices)
-        c = _cost(P, layout, data, relaxed=structure.relaxed)
-        lower, upper = _box(layout, data.limits, relaxed=structure.relaxed)
-        if self._patterns is None:
-            self._patterns = tuple(part.pattern(layout.columns) for part in (P, A, G))
-        filled = [
-            pattern.fill(part.vector)
-            for pattern, part in zip(self._patterns, (P, A, G), strict=True)
-        ]
-        return QP(filled[0], c, filled[1], b, filled[2], np.concatenate(h), lower, upper)
+    def assemble(self, flat: np.ndarray) -> QP:
+        """The QP whose solution is the best step; the same object every time."""
+        self._numbers[self._varying] = self._signs * flat[self._places]
+        return self._qp
 
     def read(self, solution: QPSolution, effort: np.ndarray) -> np.ndarray:
         """The vector of a [`SubproblemSolution`][]."""
@@ -136,6 +162,27 @@ class SubproblemSolver:
                 effort,
             ]
         )
+
+
+def _assembled(layout: Layout, structure: Structure, data: SubproblemData) -> QP:
+    P, A, G = (Entries() for _ in range(3))
+    P.new_rows(layout.columns)
+    b = np.concatenate(
+        [
+            *_dynamics(A, layout, data.model, relaxed=structure.relaxed),
+            *_totals(A, layout, data.model),
+            *_fixed(A, layout, data.limits),
+        ]
+    )
+    h = [*_path(G, layout, data.model)]
+    if structure.ball:
+        h += _ball(G, layout, data.prices)
+    c = _cost(P, layout, data, relaxed=structure.relaxed)
+    lower, upper = _box(layout, data.limits, relaxed=structure.relaxed)
+    matrices = [part.matrix(layout.columns) for part in (P, A, G)]
+    return QP(
+        matrices[0], c, matrices[1], b, matrices[2], np.concatenate(h), lower, upper
+    )
 
 
 def _dynamics(A: Entries, layout: Layout, model: Model, *, relaxed: bool):
@@ -234,8 +281,7 @@ def _cost(P: Entries, layout: Layout, data: SubproblemData, *, relaxed: bool):
     nodes, n = layout.states.shape
     free, m = layout.controls.shape
     prices, gradient = data.prices, data.gradient
-    proximal = prices.proximal / nodes
-    blocks = data.model.hessian + proximal * np.eye(n + m)
+    blocks = data.model.hessian
     up, across = np.triu_indices(n + m)
     both = np.concatenate([layout.states[:free], layout.controls], axis=1)
     P.add(both[:, up], both[:, across], blocks[:free, up, across])

@@ -8,9 +8,9 @@ running totals: a single row over the whole flight would tie every node to every
 import dataclasses
 
 import numpy as np
+from scipy.sparse import csc_matrix
 
 from ._discretization import Quadrature
-from ._qp import SparsePattern
 from ._transcription import Transcription
 
 
@@ -111,15 +111,11 @@ def _none(*shape: int) -> np.ndarray:
 
 
 class Entries:
-    """Nonzeros of a matrix under construction, block by block.
+    """Nonzeros of a matrix under construction, block by block."""
 
-    Places are noted only if asked for: they are the same every time.
-    """
-
-    def __init__(self, *, places: bool):
+    def __init__(self):
         self.count = 0
-        self.values: list[np.ndarray] = []
-        self._places: tuple[list, list] | None = ([], []) if places else None
+        self._parts: list[tuple[np.ndarray, ...]] = []
 
     def new_rows(self, *shape: int) -> np.ndarray:
         """Numbers of further rows."""
@@ -130,18 +126,16 @@ class Entries:
     def add(self, rows, columns, values) -> None:
         """Entries at `rows` and `columns`, broadcast against each other."""
         shape = np.broadcast_shapes(np.shape(rows), np.shape(columns))
-        self.values.append(np.broadcast_to(values, shape).ravel())
-        if self._places is not None:
-            for places, given in zip(self._places, (rows, columns), strict=True):
-                places.append(np.broadcast_to(given, shape).ravel())
+        entries = (np.broadcast_to(part, shape) for part in (rows, columns, values))
+        self._parts.append(tuple(part.ravel() for part in entries))
 
-    @property
-    def vector(self) -> np.ndarray:
-        """All values, in the order they were added."""
-        return np.concatenate([np.zeros(0), *self.values])
-
-    def pattern(self, columns: int) -> SparsePattern:
-        assert self._places is not None
-        none = np.zeros(0, int)
-        rows, places = (np.concatenate([none, *part]) for part in self._places)
-        return SparsePattern(rows, places, (self.count, columns))
+    def matrix(self, columns: int) -> csc_matrix:
+        """All entries in compressed columns; zeros among them keep their places."""
+        parts = self._parts or [(np.zeros(0, int), np.zeros(0, int), np.zeros(0))]
+        rows, across, values = (np.concatenate(part) for part in zip(*parts, strict=True))
+        order = np.lexsort((rows, across))
+        rows, across = rows[order], across[order]
+        if np.any((np.diff(across) == 0) & (np.diff(rows) == 0)):
+            raise ValueError("Entries: an entry appears twice.")
+        starts = np.searchsorted(across, np.arange(columns + 1))
+        return csc_matrix((values[order], rows, starts), shape=(self.count, columns))

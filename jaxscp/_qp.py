@@ -11,31 +11,6 @@ import piqp
 from scipy.sparse import csc_matrix
 
 
-class SparsePattern:
-    """Where the nonzeros of one matrix stand, in compressed columns.
-
-    Built from row and column indices in any order; `fill` takes values in that order.
-    """
-
-    def __init__(self, rows: np.ndarray, columns: np.ndarray, shape: tuple[int, int]):
-        self._order = np.lexsort((rows, columns))
-        rows, columns = rows[self._order], columns[self._order]
-        if np.any((np.diff(columns) == 0) & (np.diff(rows) == 0)):
-            raise ValueError("SparsePattern: an entry appears twice.")
-        starts = np.searchsorted(columns, np.arange(shape[1] + 1))
-        # A nonzero everywhere: zeros of the first values are not zeros of the structure.
-        self.matrix = csc_matrix((np.ones(rows.size), rows, starts), shape=shape)
-
-    def fill(self, values: np.ndarray) -> csc_matrix:
-        """The matrix with these values; the same object every time."""
-        if values.size != self._order.size:
-            raise ValueError(
-                f"SparsePattern: {values.size} values for {self._order.size} places."
-            )
-        np.take(values, self._order, out=self.matrix.data)
-        return self.matrix
-
-
 @dataclasses.dataclass
 class QP:
     """minimize 1/2 z'Pz + c'z subject to Az = b, Gz <= h, lower <= z <= upper.
@@ -51,6 +26,19 @@ class QP:
     h: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
+
+    def in_one_vector(self) -> np.ndarray:
+        """All numbers one after the other; from now on the fields are parts of it."""
+        matrices = (self.P, self.A, self.G)
+        vectors = ("c", "b", "h", "lower", "upper")
+        parts = [part.data for part in matrices] + [getattr(self, v) for v in vectors]
+        whole = np.concatenate(parts)
+        pieces = np.split(whole, np.cumsum([part.size for part in parts])[:-1])
+        for matrix, piece in zip(matrices, pieces, strict=False):
+            matrix.data = piece
+        for name, piece in zip(vectors, pieces[len(matrices) :], strict=True):
+            setattr(self, name, piece)
+        return whole
 
     @property
     def is_finite(self) -> bool:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ._assembly import Limits, Prices, SubproblemData, subproblem_solver
+from ._assembly import Limits, Outline, Prices, SubproblemData, subproblem_solver
 from ._bounds import Bounds
 from ._layout import Structure
 from ._model import Model, PerConstraint, integral_limits
@@ -117,30 +117,28 @@ def solve_subproblem(
     Where the structure is not relaxed and the dynamics cannot be met within the limits,
     the relaxed one is solved instead.
     """
-    leaves, tree = jax.tree.flatten(SubproblemData(model, model.gradient, prices, limits))
-    shapes = tuple(leaf.shape for leaf in leaves)
-    outline = SubproblemSolution.none(structure)
-    answer, unravel = ravel_pytree(outline)
+    data = SubproblemData.of(model, prices, limits)
+    answer, unravel = ravel_pytree(SubproblemSolution.none(structure))
     # One vector each way: an array passed to the host costs as much as a thousand of
     # its numbers.
     vector = jax.pure_callback(
-        functools.partial(_on_host, structure, settings, shapes, tree),
+        functools.partial(_on_host, structure, settings, Outline.of(data)),
         jax.ShapeDtypeStruct(answer.shape, answer.dtype),
-        jnp.concatenate([jnp.ravel(leaf) for leaf in leaves]),
+        jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(data)]),
         vmap_method="sequential",
     )
     return unravel(vector)
 
 
-def _on_host(structure, settings, shapes, tree, flat) -> np.ndarray:
-    ends = np.cumsum([int(np.prod(shape)) for shape in shapes])[:-1]
-    parts = np.split(np.asarray(flat), ends)
-    shaped = [part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
-    data = jax.tree.unflatten(tree, shaped)
-    solver = subproblem_solver(structure, settings)
-    answer, effort = solver(data)
+def _on_host(
+    structure: Structure, settings: PIQP, outline: Outline, flat: Array
+) -> np.ndarray:
+    numbers = np.asarray(flat)
+    solver = subproblem_solver(structure, settings, outline)
+    answer, effort = solver(numbers)
     if answer.solved or structure.relaxed:
         return solver.read(answer, effort)
-    relaxed = subproblem_solver(dataclasses.replace(structure, relaxed=True), settings)
-    answer, more = relaxed(data)
+    with_virtual = dataclasses.replace(structure, relaxed=True)
+    relaxed = subproblem_solver(with_virtual, settings, outline)
+    answer, more = relaxed(numbers)
     return relaxed.read(answer, effort + more)

@@ -8,7 +8,8 @@ from hypothesis import given, strategies as st
 from numpy.testing import assert_allclose
 from scipy.sparse import coo_matrix, csc_matrix
 
-from jaxscp._qp import PIQP, QP, SparsePattern, Workspace
+from jaxscp._layout import Entries
+from jaxscp._qp import PIQP, QP, Workspace
 
 INF = np.inf
 every_factorization = pytest.mark.parametrize(
@@ -204,20 +205,45 @@ def matrices(draw):
     return rows, columns, (height, width), [np.array(draw(numbers)) for _ in range(2)]
 
 
+def entries_of(rows, columns, shape, values) -> Entries:
+    """Entry by entry, after as many rows as the matrix has."""
+    entries = Entries()
+    entries.new_rows(shape[0])
+    for row, column, value in zip(rows, columns, values, strict=True):
+        entries.add(row, column, value)
+    return entries
+
+
 @given(matrices())
-def test_a_pattern_is_filled_in_the_order_of_its_entries(matrix):
-    rows, columns, shape, fillings = matrix
-    pattern = SparsePattern(rows, columns, shape)
-    for values in fillings:
-        filled = pattern.fill(values)
-        assert filled is pattern.matrix
-        reference = coo_matrix((values, (rows, columns)), shape=shape)
-        np.testing.assert_array_equal(filled.toarray(), reference.toarray())
+def test_entries_keep_their_places(matrix):
+    rows, columns, shape, (values, others) = matrix
+    for given in (values, others):
+        built = entries_of(rows, columns, shape, given).matrix(shape[1])
+        reference = coo_matrix((given, (rows, columns)), shape=shape)
+        np.testing.assert_array_equal(built.toarray(), reference.toarray())
         # The solver takes over the structure: sorted, and zeros belong to it.
-        filled.check_format()
-        assert filled.has_canonical_format
-        assert filled.nnz == values.size
-        assert filled.indptr[-1] == values.size
+        built.check_format()
+        assert built.has_canonical_format
+        assert built.nnz == given.size
+
+
+def test_a_qp_in_one_vector_follows_it():
+    program = QP(
+        *(csc_matrix(np.eye(2)), np.array([1.0, 2.0])),
+        *(csc_matrix([[1.0, 1.0]]), np.array([3.0])),
+        *(csc_matrix([[0.0, 4.0]]), np.array([5.0])),
+        *(np.array([-6.0, -np.inf]), np.array([7.0, np.inf])),
+    )
+    whole = program.in_one_vector()
+    whole *= 2.0
+    np.testing.assert_array_equal(program.P.toarray(), 2.0 * np.eye(2))
+    np.testing.assert_array_equal(program.A.toarray(), [[2.0, 2.0]])
+    np.testing.assert_array_equal(program.G.toarray(), [[0.0, 8.0]])
+    np.testing.assert_array_equal(program.c, [2.0, 4.0])
+    np.testing.assert_array_equal(program.b, [6.0])
+    np.testing.assert_array_equal(program.h, [10.0])
+    np.testing.assert_array_equal(program.lower, [-12.0, -np.inf])
+    np.testing.assert_array_equal(program.upper, [14.0, np.inf])
 
 
 @given(matrices(), st.data())
@@ -228,8 +254,9 @@ def test_an_entry_must_not_appear_twice(matrix, data):
     again = data.draw(st.integers(0, rows.size - 1))
     at = data.draw(st.integers(0, rows.size))
     with pytest.raises(ValueError, match="an entry appears twice"):
-        SparsePattern(
+        entries_of(
             np.insert(rows, at, rows[again]),
             np.insert(columns, at, columns[again]),
             shape,
-        )
+            np.ones(rows.size + 1),
+        ).matrix(shape[1])

@@ -17,7 +17,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 
 from jaxscp import Bounds, FirstOrderHold, OptimalControlProblem, ZeroOrderHold
-from jaxscp._assembly import Limits, Prices, SubproblemData, subproblem_solver
+from jaxscp._assembly import Limits, Outline, Prices, SubproblemData, subproblem_solver
 from jaxscp._discretization import Discretization, Quadrature
 from jaxscp._layout import Layout, Structure
 from jaxscp._model import (
@@ -186,6 +186,14 @@ def parts_of(name="zero-order", **changes) -> Parts:
 @functools.cache
 def structure_of(name="zero-order", **options) -> Structure:
     return Structure.of(transcribed(problem_of(), name), **options)
+
+
+def solver_and_numbers(structure, settings, parts, prices):
+    """The host's solver, and the vector it is given."""
+    data = SubproblemData.of(parts.model, prices, parts.limits)
+    leaves = [np.ravel(leaf) for leaf in jax.tree.leaves(data)]
+    solver = subproblem_solver(structure, settings, Outline.of(data))
+    return solver, np.concatenate(leaves)
 
 
 def prices_of(proximal=2.0, virtual=1e3, path=1e3, integral=1e3, radius=0.0) -> Prices:
@@ -399,9 +407,8 @@ def test_the_best_step(name):
 @every_block
 def test_the_assembled_rows_are_the_models(name):
     parts, prices = parts_of(name), prices_of(proximal=3.0)
-    data = SubproblemData(parts.model, parts.model.gradient, prices, parts.limits)
-    solver = subproblem_solver(structure_of(name), PRECISE)
-    qp, layout = solver.assemble(jax.tree.map(np.asarray, data)), solver.layout
+    solver, numbers = solver_and_numbers(structure_of(name), PRECISE, parts, prices)
+    qp, layout = solver.assemble(numbers), solver.layout
     draw = np.random.default_rng(3).normal
     step = Variables(
         jnp.asarray(draw(size=layout.states.shape)),
@@ -469,9 +476,8 @@ def test_dynamics_that_cannot_be_met_are_relaxed():
     check_optimality(parts, prices, solution, atol=1e-5)
     # What remains of the defects is the virtual control.
     relaxed = structure_of(relaxed=True)
-    solver = subproblem_solver(relaxed, PRECISE)
-    data = SubproblemData(parts.model, parts.model.gradient, prices, parts.limits)
-    answer, effort = solver(jax.tree.map(np.asarray, data))
+    solver, numbers = solver_and_numbers(relaxed, PRECISE, parts, prices)
+    answer, effort = solver(numbers)
     less, more = answer.z[solver.layout.virtual]
     remaining = predict(parts.model, solution.step).defects
     assert np.max(np.abs(remaining)) > 1e-3
@@ -561,14 +567,10 @@ def test_a_pattern_is_set_up_once(monkeypatch):
         assert_allclose(step_of(solution), step_of(fresh), atol=1e-5)
     assert calls == ["setup", "update", "update"]
     again = Structure.of(transcribed(problem_of(wide=1.5)))
-    solver = subproblem_solver(structure_of(), settings)
-    assert subproblem_solver(again, PIQP(tolerance=2e-8)) is solver
-    data = SubproblemData(parts.model, parts.model.gradient, prices, parts.limits)
-    data = jax.tree.map(np.asarray, data)
-    first, second = solver.assemble(data), solver.assemble(data)
-    assert first.P is second.P
-    assert first.A is second.A
-    assert first.G is second.G
+    solver, numbers = solver_and_numbers(structure_of(), settings, parts, prices)
+    same, _ = solver_and_numbers(again, PIQP(tolerance=2e-8), parts, prices)
+    assert same is solver
+    assert solver.assemble(numbers) is solver.assemble(numbers)
 
 
 def test_other_blocks_are_another_structure():
