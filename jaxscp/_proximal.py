@@ -45,7 +45,7 @@ class ProximalSCP(AbstractSCP):
     - `initial_weight`: of the proximal term in the first subproblem.
     - `curvature`: whether path constraints and integrals contribute theirs.
     - `correction`: whether poor steps get a second-order correction.
-    - `qp`: the solver of the subproblems.
+    - `qp`: the solver of the subproblems; by default as exact as `tolerance` needs.
     """
 
     max_iterations: int = eqx.field(static=True, default=100)
@@ -54,7 +54,7 @@ class ProximalSCP(AbstractSCP):
     initial_weight: float = eqx.field(static=True, default=10.0)
     curvature: bool = eqx.field(static=True, default=True)
     correction: bool = eqx.field(static=True, default=True)
-    qp: PIQP = PIQP()
+    qp: PIQP | None = None
     # Ratios that accept a step, raise the weight, lower it, and call for a correction.
     accept_ratio: float = eqx.field(static=True, default=0.01)
     poor_ratio: float = eqx.field(static=True, default=0.25)
@@ -116,7 +116,9 @@ class ProximalSCP(AbstractSCP):
         )
         limits = step_limits(transcription, scaling, reference)
         structure = Structure.of(transcription)
-        return solve_subproblem(structure, self.qp, model, prices, limits)
+        # A hundredth of the tolerance; below 1e-8 PIQP's residuals are rounding errors.
+        exact = PIQP(tolerance=min(max(0.01 * self.tolerance, 1e-8), 1e-6))
+        return solve_subproblem(structure, self.qp or exact, model, prices, limits)
 
     def _advance(
         self,

@@ -120,10 +120,12 @@ class Solution(eqx.Module):
 def _sampled(solution: Solution, fractions: Float[Array, " k"]) -> Trajectory:
     nodes = solution.trajectory
     last = nodes.nodes - 2
-    index = jnp.clip(jnp.searchsorted(nodes.fractions, fractions, "right") - 1, 0, last)
+    # A node's own time belongs to the interval behind it, also after rounding.
+    after = jnp.searchsorted(nodes.fractions, fractions + 1e-12, "right")
+    index = jnp.clip(after - 1, 0, last)
     starts, widths = nodes.fractions[:-1], jnp.diff(nodes.fractions)
     left, right = nodes.controls[index], nodes.controls[index + 1]
-    within = (fractions - starts[index]) / widths[index]
+    within = jnp.maximum(fractions - starts[index], 0.0) / widths[index]
     solver = solution.problem, solution.discretization, solution.statistics.substeps
     time = nodes.final_time
     states = jax.vmap(

@@ -217,14 +217,14 @@ def entries_of(rows, columns, shape, values) -> Entries:
 @given(matrices())
 def test_entries_keep_their_places(matrix):
     rows, columns, shape, (values, others) = matrix
-    for given in (values, others):
-        built = entries_of(rows, columns, shape, given).matrix(shape[1])
-        reference = coo_matrix((given, (rows, columns)), shape=shape)
+    for numbers in (values, others):
+        built = entries_of(rows, columns, shape, numbers).matrix(shape[1])
+        reference = coo_matrix((numbers, (rows, columns)), shape=shape)
         np.testing.assert_array_equal(built.toarray(), reference.toarray())
         # The solver takes over the structure: sorted, and zeros belong to it.
         built.check_format()
         assert built.has_canonical_format
-        assert built.nnz == given.size
+        assert built.nnz == numbers.size
 
 
 def test_a_qp_in_one_vector_follows_it():
