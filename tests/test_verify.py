@@ -54,8 +54,12 @@ def test_a_shifted_node_is_found_with_its_amount():
     np.testing.assert_allclose(result.interval_errors, expected, atol=1e-12)
     # The whole flight starts from the first node: the shift does not reach it.
     np.testing.assert_allclose(result.flight_error, 0, atol=1e-12)
-    assert result.worst_interval in ((2, 0), (3, 0))  # equal but for rounding
-    assert "position 0.01 m off after interval 2, from 1.000 s" in str(result)
+    # Rounding decides which of the two is the worst.
+    interval, entry = result.worst_interval
+    assert interval in {2, 3}
+    assert entry == 0
+    where = f"after interval {interval}, from {0.5 * interval:.3f} s"
+    assert f"position 0.01 m off {where}" in str(result)
 
 
 def test_interval_tolerance_is_relative_to_the_motion():
