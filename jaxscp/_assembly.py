@@ -14,6 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ._convexification import Curvature
 from ._discretization import Jacobian
 from ._layout import Entries, Layout, Structure
 from ._model import Model
@@ -57,10 +58,16 @@ class SubproblemData(eqx.Module):
 
     @classmethod
     def of(cls, model: Model, prices: Prices, limits: Limits) -> "SubproblemData":
-        nodes, size, _ = model.hessian.shape
+        nodes, size, _ = model.curvature.blocks.shape
         proximal = prices.proximal / nodes * jnp.eye(size)
-        convex = dataclasses.replace(model, hessian=model.hessian + proximal[None])
-        return cls(convex, model.gradient, prices, limits)
+        curvature = Curvature(
+            model.curvature.blocks + proximal[None],
+            model.curvature.border,
+            # The flight time moves every node: it counts once for each of them.
+            model.curvature.corner + prices.proximal,
+        )
+        linear = Model(model.residuals, model.derivatives, curvature)
+        return cls(linear, model.gradient, prices, limits)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -281,15 +288,16 @@ def _cost(P: Entries, layout: Layout, data: SubproblemData, *, relaxed: bool):
     nodes, n = layout.states.shape
     free, m = layout.controls.shape
     prices, gradient = data.prices, data.gradient
-    blocks = data.model.hessian
+    blocks, border = data.model.curvature.blocks, data.model.curvature.border
     up, across = np.triu_indices(n + m)
     both = np.concatenate([layout.states[:free], layout.controls], axis=1)
     P.add(both[:, up], both[:, across], blocks[:free, up, across])
     up, across = np.triu_indices(n)
     only = layout.states[free:]
     P.add(only[:, up], only[:, across], blocks[free:, up, across])
-    # The flight time moves every node: it counts once for each of them.
-    P.add(layout.time, layout.time, prices.proximal)
+    P.add(both, layout.time, border[:free])
+    P.add(only, layout.time, border[free:, :n])
+    P.add(layout.time, layout.time, data.model.curvature.corner)
 
     c = np.zeros(layout.columns)
     c[layout.states], c[layout.controls] = gradient.states, gradient.controls

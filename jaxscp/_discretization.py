@@ -13,8 +13,8 @@ from ._problem import OptimalControlProblem
 from ._types import Array, Float, Scalar
 
 # The classical Runge-Kutta method: each stage starts from the one before it.
-_NODES = np.array([0.0, 0.5, 0.5, 1.0])
-_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
+RK4_NODES = np.array([0.0, 0.5, 0.5, 1.0])
+RK4_WEIGHTS = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
 
 
 class Quadrature(enum.Enum):
@@ -211,7 +211,7 @@ def _flow(problem, discretization, substeps, span, x, left, right, final_time, r
 
     step = reach / substeps
     seconds = final_time * width * step
-    nodes, weights = jnp.asarray(_NODES), jnp.asarray(_WEIGHTS)
+    nodes, weights = jnp.asarray(RK4_NODES), jnp.asarray(RK4_WEIGHTS)
 
     def stage(index, carry):
         # One stage a pass, so that the dynamics are compiled once instead of four times.

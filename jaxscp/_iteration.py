@@ -90,6 +90,7 @@ def start(
         qp_seconds=jnp.zeros(()),
         stationary=jnp.array(False),
         failures=zero,
+        optimality=jnp.asarray(jnp.inf),
         finite=jnp.array(True),
     )
 

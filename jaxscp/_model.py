@@ -1,8 +1,12 @@
 """The convex model of the discrete problem around a point, and the exact penalty."""
 
+import dataclasses
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
+from ._convexification import Curvature, convexified
 from ._scaling import Scaling
 from ._transcription import Derivatives, Residuals, Transcription, Variables, held
 from ._types import Array, Float, Scalar
@@ -23,52 +27,101 @@ class PerConstraint(eqx.Module):
 class Model(eqx.Module):
     """Linear constraints and a convex quadratic cost around a point, all scaled.
 
-    `hessian` holds one block by (x, u) a node.
+    - `damping`: diagonal curvature in the cost that its prediction leaves out.
+    - `transfers`: by (x, flight time) at each interval's right end: what was taken from
+        the curvature of one interval and given to the next, if anything.
     """
 
     residuals: Residuals
     derivatives: Derivatives
-    hessian: Float[Array, "N w w"]
+    curvature: Curvature
+    damping: Variables | None = None
+    transfers: Float[Array, "I s s"] | None = None
 
     @property
     def gradient(self) -> Variables:
         """Gradient of the cost."""
-        derivatives = self.derivatives
-        cost = derivatives.intervals.increments
-        free = cost.left_control.shape[0] + (cost.right_control is not None)
-        states = jnp.zeros((self.hessian.shape[0], cost.left_state.shape[2]))
-        controls = jnp.zeros((free, cost.left_control.shape[2]))
-        states = states.at[:-1].add(cost.left_state[:, -1])
-        controls = controls.at[: cost.left_control.shape[0]].add(cost.left_control[:, -1])
-        if cost.right_state is not None:
-            states = states.at[1:].add(cost.right_state[:, -1])
-        if cost.right_control is not None:
-            controls = controls.at[1:].add(cost.right_control[:, -1])
-        states = states.at[-1].add(derivatives.nodes.terminal_state)
-        time = jnp.sum(cost.time[:, -1]) + derivatives.nodes.terminal_time
-        return Variables(states, controls, time)
+        slope = cost_gradient(self.derivatives)
+        if self.transfers is None:
+            return slope
+        # Where defects are closed the transfers do not cancel to first order.
+        flow = self.derivatives.intervals.next_state
+        n = self.residuals.defects.shape[1]
+        taken = jnp.einsum("kij,kj->ki", self.transfers[:, :, :n], self.residuals.defects)
+        return Variables(
+            slope.states.at[:-1].add(
+                -jnp.einsum("krn,kr->kn", flow.left_state, taken[:, :n])
+            ),
+            slope.controls - jnp.einsum("krm,kr->km", flow.left_control, taken[:, :n]),
+            slope.final_time - jnp.vdot(flow.time, taken[:, :n]) - jnp.sum(taken[:, n]),
+        )
 
     def predict(self, step: Variables) -> Residuals:
         """Residuals the model expects after a scaled step."""
-        jacobians = self.derivatives.intervals
-        controls = held(step.controls, self.hessian.shape[0])
-        flow = _apply(jacobians.next_state, step.states, controls, step.final_time)
-        growth = _apply(jacobians.increments, step.states, controls, step.final_time)
+        controls = held(step.controls, step.states.shape[0])
+        after = linear_prediction(self.residuals, self.derivatives, step, controls)
         slope = self.gradient
-        path = jnp.einsum("kpn,kn->kp", self.derivatives.nodes.path_state, step.states)
-        path += jnp.einsum("kpm,km->kp", self.derivatives.nodes.path_control, controls)
-        path += self.derivatives.nodes.path_time * step.final_time
         z = jnp.concatenate([step.states, controls], axis=1)
-        linear = jnp.vdot(slope.states, step.states)
-        linear += jnp.vdot(slope.controls, step.controls)
-        linear += slope.final_time * step.final_time
-        curved = 0.5 * jnp.einsum("ki,kij,kj->", z, self.hessian, z)
-        return Residuals(
-            objective=self.residuals.objective + linear + curved,
-            defects=self.residuals.defects + step.states[1:] - flow,
-            path=self.residuals.path + path,
-            increments=self.residuals.increments + growth,
-        )
+        change = jnp.vdot(slope.states, step.states)
+        change += jnp.vdot(slope.controls, step.controls)
+        change += slope.final_time * step.final_time
+        change += self.curvature.along(z, step.final_time)
+        if self.damping is not None:
+            squared = jax.tree.map(lambda d, s: jnp.sum(d * s**2), self.damping, step)
+            change -= 0.5 * (squared.states + squared.controls + squared.final_time)
+        if self.transfers is not None:
+            defects, n = self.residuals.defects, self.residuals.defects.shape[1]
+            change += 0.5 * jnp.einsum(
+                "ki,kij,kj->", defects, self.transfers[:, :n, :n], defects
+            )
+        return dataclasses.replace(after, objective=self.residuals.objective + change)
+
+    def costates(
+        self, multipliers: Float[Array, "I n"], step: Variables
+    ) -> Float[Array, "I n"]:
+        """Multipliers of the dynamics, from those of the QP with its transfers."""
+        if self.transfers is None:
+            return multipliers
+        n = multipliers.shape[1]
+        given = jnp.einsum("kij,kj->ki", self.transfers[:, :n, :n], step.states[1:])
+        return multipliers - given - self.transfers[:, :n, n] * step.final_time
+
+
+def cost_gradient(derivatives: Derivatives) -> Variables:
+    """Gradient of the cost alone."""
+    cost, nodes = derivatives.intervals.increments, derivatives.nodes
+    intervals, _, n = cost.left_state.shape
+    free = intervals + (cost.right_control is not None)
+    states = jnp.zeros((intervals + 1, n)).at[:-1].add(cost.left_state[:, -1])
+    controls = jnp.zeros((free, cost.left_control.shape[2]))
+    controls = controls.at[:intervals].add(cost.left_control[:, -1])
+    if cost.right_state is not None:
+        states = states.at[1:].add(cost.right_state[:, -1])
+    if cost.right_control is not None:
+        controls = controls.at[1:].add(cost.right_control[:, -1])
+    states = states.at[-1].add(nodes.terminal_state)
+    return Variables(states, controls, jnp.sum(cost.time[:, -1]) + nodes.terminal_time)
+
+
+def linear_prediction(
+    residuals: Residuals,
+    derivatives: Derivatives,
+    step: Variables,
+    controls: Float[Array, "N m"],
+) -> Residuals:
+    """Constraints to first order; the objective as it was."""
+    jacobians, nodes = derivatives.intervals, derivatives.nodes
+    flow = _apply(jacobians.next_state, step.states, controls, step.final_time)
+    growth = _apply(jacobians.increments, step.states, controls, step.final_time)
+    path = jnp.einsum("kpn,kn->kp", nodes.path_state, step.states)
+    path += jnp.einsum("kpm,km->kp", nodes.path_control, controls)
+    path += nodes.path_time * step.final_time
+    return Residuals(
+        objective=residuals.objective,
+        defects=residuals.defects + step.states[1:] - flow,
+        path=residuals.path + path,
+        increments=residuals.increments + growth,
+    )
 
 
 def convex_model(
@@ -81,24 +134,64 @@ def convex_model(
 ) -> Model:
     """Linear constraints, and the Lagrangian's curvature without the dynamics'.
 
-    The Hessian is made convex node by node. That of the dynamics costs a hundred times
-    as much and did not help when made convex in this way.
+    The Hessian is made convex node by node. That of the dynamics would not survive it.
 
     **Arguments:**
 
     - `residuals`, `derivatives`: scaled, at `point`.
     - `multipliers`: scaled; those of the dynamics do not count.
     """
-    rates = multipliers.integral * scaling.objective / scaling.integral
-    blocks = transcription.curvature(
-        point,
-        jnp.append(rates, 1.0),
-        multipliers.path * scaling.objective / scaling.path[None],
-    )
-    values, vectors = jnp.linalg.eigh(scaling.curvature(blocks) / scaling.objective)
+    rates, path = _physical(scaling, multipliers)
+    blocks = transcription.curvature(point, rates, path)
+    values, vectors = jnp.linalg.eigh(scaling.curvature(blocks))
     kept = jnp.maximum(values, 0.0)
     hessian = jnp.einsum("kij,kj,klj->kil", vectors, kept, vectors)
-    return Model(residuals, derivatives, hessian)
+    flat = Curvature(hessian, jnp.zeros(hessian.shape[:2]), jnp.zeros(()))
+    return Model(residuals, derivatives, flat)
+
+
+def second_order_model(
+    transcription: Transcription,
+    scaling: Scaling,
+    point: Variables,
+    substeps: Array,
+    residuals: Residuals,
+    derivatives: Derivatives,
+    multipliers: PerConstraint,
+    damping: Variables,
+) -> Model:
+    """Linear constraints, and all of the Lagrangian's curvature, made convex.
+
+    **Arguments:**
+
+    - `damping`: of the scaled step; it is part of the curvature.
+    """
+    rates, path = _physical(scaling, multipliers)
+    costates = multipliers.dynamics * scaling.objective / scaling.state[None]
+    exact = transcription.hessian(point, substeps, costates, rates, path)
+    nodes = exact.shape[0]
+    each = jnp.concatenate(
+        [
+            damping.states,
+            jnp.pad(damping.controls, ((0, nodes - damping.controls.shape[0]), (0, 0))),
+            jnp.full((nodes, 1), damping.final_time / nodes),
+        ],
+        axis=1,
+    )
+    curvature, transfers = convexified(
+        scaling.curvature(exact) + jax.vmap(jnp.diag)(each),
+        derivatives.intervals.next_state,
+        transcription.fixed_states,
+        damping.final_time / nodes,
+    )
+    return Model(residuals, derivatives, curvature, damping, transfers)
+
+
+def _physical(scaling: Scaling, multipliers: PerConstraint) -> tuple[Array, Array]:
+    """Weights of the integrands, the cost's last, and of the path constraints."""
+    rates = multipliers.integral * scaling.objective / scaling.integral
+    path = multipliers.path * scaling.objective / scaling.path[None]
+    return jnp.append(rates, 1.0), path
 
 
 def integral_limits(

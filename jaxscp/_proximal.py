@@ -14,8 +14,10 @@ from ._model import (
     PerConstraint,
     convex_model,
     integral_limits,
+    second_order_model,
     worst_violation,
 )
+from ._optimality import Optimality, optimality
 from ._qp import PIQP
 from ._scp import AbstractSCP
 from ._search import Search, search
@@ -49,7 +51,8 @@ class ProximalSCP(AbstractSCP):
     """
 
     max_iterations: int = eqx.field(static=True, default=100)
-    tolerance: float = eqx.field(static=True, default=1e-4)
+    tolerance: float = eqx.field(static=True, default=1e-8)
+    min_reduction: float = eqx.field(static=True, default=1e-7)
     feasibility_tolerance: float = eqx.field(static=True, default=1e-5)
     initial_weight: float = eqx.field(static=True, default=10.0)
     curvature: bool = eqx.field(static=True, default=True)
@@ -61,6 +64,9 @@ class ProximalSCP(AbstractSCP):
     good_ratio: float = eqx.field(static=True, default=0.7)
     correction_ratio: float = eqx.field(static=True, default=0.5)
     weight_factor: float = eqx.field(static=True, default=3.0)
+    # Near a solution: residuals there, and the least weight of the proximal term.
+    near: float = eqx.field(static=True, default=1e-4)
+    min_weight: float = eqx.field(static=True, default=1e-6)
     min_radius: float = eqx.field(static=True, default=1e-12)
     max_failures: int = eqx.field(static=True, default=5)
     max_radius: float = eqx.field(static=True, default=1e6)
@@ -79,17 +85,42 @@ class ProximalSCP(AbstractSCP):
         )
 
     def step(self, transcription: Transcription, state: SCPState) -> SCPState:
+        # Where the step before was refused, derivatives are still fresh.
+        refused = state.iterate.fresh
         iterate = linearized(transcription, state.scaling, state.iterate)
-        state = dataclasses.replace(state, iterate=iterate, finite=is_finite(iterate))
-        share = 1.0 if self.curvature else 0.0
-        model = convex_model(
-            transcription,
-            state.scaling,
-            iterate.variables,
-            iterate.residuals,
-            iterate.derivatives,
-            jax.tree.map(lambda leaf: share * leaf, state.solution.multipliers),
+        gap = optimality(transcription, state.scaling, iterate, state.solution)
+        state = dataclasses.replace(
+            state,
+            iterate=iterate,
+            finite=is_finite(iterate),
+            optimality=jnp.where(state.iterations > 0, gap.residual, jnp.inf),
         )
+        near = self._is_near(transcription, gap) & (state.iterations > 0)
+        # Levenberg and Marquardt: a weight that vanishes with the residual converges
+        # fast, and does not stray along directions the cost hardly sees.
+        weight = jnp.maximum(transcription.nodes * gap.stationarity, self.min_weight)
+        radius = jnp.where(near & ~refused, 1.0 / weight, state.radius)
+        state = dataclasses.replace(state, radius=radius)
+        return jax.lax.cond(
+            state.optimality <= self.tolerance,
+            lambda state: state,
+            lambda state: self._iterate(transcription, state, near),
+            state,
+        )
+
+    def _is_near(self, transcription: Transcription, gap: Optimality) -> Array:
+        """Whether Newton's method may be trusted without a merit function."""
+        if not self._second_order(transcription):
+            return jnp.array(False)
+        return (gap.stationarity <= self.near) & (gap.feasibility <= 10.0 * self.near)
+
+    def _second_order(self, transcription: Transcription) -> bool:
+        return self.curvature and transcription.has_exact_hessian
+
+    def _iterate(
+        self, transcription: Transcription, state: SCPState, near: Array
+    ) -> SCPState:
+        model = self._model(transcription, state)
         found, judgement = search(
             transcription,
             state,
@@ -97,10 +128,47 @@ class ProximalSCP(AbstractSCP):
             solve=lambda around: self._solve(transcription, state, around),
             follow=lambda to: _following(state.weights, to, state.ceiling),
             accept_ratio=self.accept_ratio,
-            # No ratio is below this one: then no step is poor.
-            correction_ratio=self.correction_ratio if self.correction else -jnp.inf,
+            # No ratio is below minus infinity, all are below plus infinity.
+            correction_ratio=jnp.where(near, jnp.inf, self.correction_ratio)
+            if self.correction
+            else -jnp.inf,
         )
-        return self._advance(transcription, state, found, judgement)
+        # The exact penalty hides progress that is second order in the step.
+        harmless = judgement.actual >= -self.near * (1.0 + jnp.abs(judgement.reference))
+        trusted = near & found.best.solution.effort.solved & harmless
+        judgement = dataclasses.replace(judgement, accepted=judgement.accepted | trusted)
+        return self._advance(transcription, state, found, judgement, near)
+
+    def _model(self, transcription: Transcription, state: SCPState) -> Model:
+        iterate, multipliers = state.iterate, state.solution.multipliers
+        point = (transcription, state.scaling, iterate.variables)
+        if not self._second_order(transcription):
+            share = 1.0 if self.curvature else 0.0
+            return convex_model(
+                *point,
+                iterate.residuals,
+                iterate.derivatives,
+                jax.tree.map(lambda leaf: share * leaf, multipliers),
+            )
+        return second_order_model(
+            *point,
+            iterate.substeps,
+            iterate.residuals,
+            iterate.derivatives,
+            multipliers,
+            self._damping(transcription, state),
+        )
+
+    def _damping(self, transcription: Transcription, state: SCPState) -> Variables:
+        """The proximal term, and the hold that active limits have on their variables."""
+        each = 1.0 / state.radius / transcription.nodes
+        held = jnp.where(transcription.fixed_states, 0.0, state.solution.state)
+        # As strong as a barrier would be at a hundredth of the range.
+        states, controls = (
+            jnp.minimum(100.0 * jnp.where(jnp.abs(m) > 1e-7, jnp.abs(m), 0.0), 1e3)
+            for m in (held, state.solution.control)
+        )
+        return Variables(states + each, controls + each, 1.0 / state.radius)
 
     def _solve(
         self, transcription: Transcription, state: SCPState, model: Model
@@ -108,7 +176,8 @@ class ProximalSCP(AbstractSCP):
         scaling, reference = state.scaling, state.iterate.variables
         residuals, ceiling = model.residuals, state.ceiling
         prices = Prices(
-            proximal=1.0 / state.radius,
+            # Exact models have it in them already.
+            proximal=1.0 / state.radius if model.damping is None else jnp.zeros(()),
             virtual_control=jnp.full_like(residuals.defects, ceiling),
             path=jnp.full_like(residuals.path, ceiling),
             integral=jnp.full_like(residuals.totals, ceiling),
@@ -117,8 +186,10 @@ class ProximalSCP(AbstractSCP):
         limits = step_limits(transcription, scaling, reference)
         structure = Structure.of(transcription)
         # A hundredth of the tolerance; below 1e-8 PIQP's residuals are rounding errors.
-        exact = PIQP(tolerance=min(max(0.01 * self.tolerance, 1e-8), 1e-6))
-        return solve_subproblem(structure, self.qp or exact, model, prices, limits)
+        exact = PIQP(tolerance=1e-10)
+        solution = solve_subproblem(structure, self.qp or exact, model, prices, limits)
+        costates = model.costates(solution.multipliers.dynamics, solution.step)
+        return eqx.tree_at(lambda s: s.multipliers.dynamics, solution, costates)
 
     def _advance(
         self,
@@ -126,14 +197,18 @@ class ProximalSCP(AbstractSCP):
         state: SCPState,
         found: Search,
         judgement: Judgement,
+        near: Array,
     ) -> SCPState:
         trial = found.best
         ratio, factor = judgement.ratio, self.weight_factor
         radius = jnp.where(ratio < self.poor_ratio, state.radius / factor, state.radius)
         radius = jnp.where(ratio > self.good_ratio, radius * factor, radius)
+        calm = jnp.where(judgement.accepted, state.radius, state.radius / factor**2)
+        radius = jnp.where(near, calm, radius)
         # A heavy proximal term makes every prediction small: take it out again.
         held_back = jnp.maximum(1.0, 1.0 / state.radius)
-        stationary = judgement.predicted * held_back <= self.tolerance
+        stationary = judgement.predicted * held_back <= self.min_reduction
+        stationary &= ~near
         # Or where violations outweigh the cost: within what a QP solver resolves.
         stationary |= judgement.predicted <= 1e-9 * jnp.abs(judgement.reference)
         stationary &= trial.solution.effort.solved

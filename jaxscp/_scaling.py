@@ -70,10 +70,11 @@ class Scaling(eqx.Module):
             terminal_time=nodes.terminal_time * self.time / self.objective,
         )
 
-    def curvature(self, blocks: Float[Array, "N w w"]) -> Float[Array, "N w w"]:
-        """Blocks of a scaled function's Hessian by (x, u), in scaled variables."""
-        sizes = jnp.concatenate([self.state, self.control])
-        return blocks * jnp.outer(sizes, sizes)[None]
+    def curvature(self, blocks: Float[Array, "N v v"]) -> Float[Array, "N v v"]:
+        """Blocks of the cost's Hessian by (x, u) or (x, u, T), all scaled."""
+        sizes = jnp.concatenate([self.state, self.control, self.time[None]])
+        sizes = sizes[: blocks.shape[1]]
+        return blocks * jnp.outer(sizes, sizes)[None] / self.objective
 
     def _jacobian(self, jacobian: Jacobian, rows: Float[Array, " r"]) -> Jacobian:
         def scaled(block, columns):

@@ -22,6 +22,7 @@ class AbstractSCP(eqx.Module):
     """
 
     max_iterations: eqx.AbstractVar[int]
+    tolerance: eqx.AbstractVar[float]
     feasibility_tolerance: eqx.AbstractVar[float]
     min_radius: eqx.AbstractVar[float]
     max_failures: eqx.AbstractVar[int]
@@ -57,6 +58,7 @@ class AbstractSCP(eqx.Module):
                 Status.virtual_control_remains,
             ),
             (state.stationary & feasible, Status.converged),
+            (state.optimality <= self.tolerance, Status.converged),
             (failed, Status.subproblem_failed),
             (failed & infeasible, Status.subproblem_infeasible),
             (~state.finite, Status.non_finite),

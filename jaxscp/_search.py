@@ -67,7 +67,7 @@ def search(
 
     def attempt(found: Search) -> Search:
         first, best = found.passes == 0, found.best
-        shifted = Model(found.around, model.derivatives, model.hessian)
+        shifted = dataclasses.replace(model, residuals=found.around)
         solution = _or_stay(solve(shifted), state.solution)
         weights = tree_where(first, follow(solution.multipliers), found.weights)
         expected = tree_where(first, model.predict(solution.step), found.expected)

@@ -71,6 +71,7 @@ class SCPState(eqx.Module):
     - `subproblems`, `qp_iterations`, `qp_seconds`: QPs solved, and what they took.
     - `stationary`: no step within the model improves the penalized cost.
     - `failures`: subproblems left unsolved in a row.
+    - `optimality`: residual of the optimality conditions, infinite until it is known.
     - `finite`: whether the reference has finite values and derivatives.
     """
 
@@ -88,6 +89,7 @@ class SCPState(eqx.Module):
     qp_seconds: Scalar
     stationary: Array
     failures: Array
+    optimality: Scalar
     finite: Array
 
 

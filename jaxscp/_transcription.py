@@ -13,11 +13,14 @@ from ._discretization import (
     Discretization,
     IntervalJacobians,
     Intervals,
+    Quadrature,
     integrand_rates,
     linearize,
     propagate,
 )
+from ._hold import ZeroOrderHold
 from ._problem import OptimalControlProblem
+from ._second_order import flow_hessian
 from ._trajectory import Trajectory
 from ._types import Array, Float, Scalar
 
@@ -245,6 +248,70 @@ class Transcription(eqx.Module):
             return blocks
         # The last node has no control of its own.
         return blocks.at[-1, size:].set(0.0).at[-1, :, size:].set(0.0)
+
+    @property
+    def has_exact_hessian(self) -> bool:
+        """Whether [`Transcription.hessian`][] knows this discretization."""
+        kind = self.discretization
+        return isinstance(kind.hold, ZeroOrderHold) and kind.quadrature is Quadrature.FLOW
+
+    def hessian(
+        self,
+        variables: Variables,
+        substeps: Array | int,
+        costates: Float[Array, "I n"],
+        rate_weights: Float[Array, " r"],
+        path_weights: Float[Array, "N p"],
+    ) -> Float[Array, "N v v"]:
+        """Hessian of the Lagrangian, exact, by (x, u, flight time) of each node.
+
+        **Arguments:**
+
+        - `costates`: multipliers of the defects.
+        - `rate_weights`: of the integrals and the cost. `path_weights`: of the path
+            constraints.
+        """
+        size, final_time = self.problem.state_size, variables.final_time
+        # A defect is the next node minus the flow's end.
+        weights = jnp.concatenate(
+            [
+                -costates,
+                jnp.broadcast_to(rate_weights, (self.nodes - 1, *rate_weights.shape)),
+            ],
+            axis=1,
+        )
+        flow = jax.vmap(
+            lambda span, x, u, weights: flow_hessian(
+                self.problem,
+                self.discretization,
+                substeps,
+                span,
+                x,
+                u,
+                final_time,
+                weights,
+            )
+        )(self.grid, variables.states[:-1], variables.controls, weights)
+
+        def at_node(fraction, x, u, weights):
+            def path(v):
+                return weights @ self._path(v[-1] * fraction, v[:size], v[size:-1])
+
+            return jax.hessian(path)(jnp.concatenate([x, u, final_time[None]]))
+
+        def terminal(v):
+            return rate_weights[-1] * self.problem.terminal_cost(v[-1], v[:size])
+
+        last = jnp.concatenate(
+            [variables.states[-1], variables.controls[-1], final_time[None]]
+        )
+        blocks = jnp.zeros((self.nodes, last.size, last.size)).at[:-1].add(flow)
+        blocks = blocks.at[-1].add(jax.hessian(terminal)(last))
+        if not path_weights.size:
+            return blocks
+        controls = self.nodal_controls(variables)
+        path = jax.vmap(at_node)(self.fractions, variables.states, controls, path_weights)
+        return blocks + path
 
     def _arguments(self, variables: Variables, substeps):
         return (
