@@ -39,6 +39,10 @@ class Prices(eqx.Module):
     - `virtual_control`: cost of virtual control, where there is any.
     - `path`, `integral`: cost of virtual buffers.
     - `radius`: of the hard trust region, where there is one.
+
+    And how exactly it is to be solved:
+
+    - `precision`: absolute tolerance on residuals and duality gap.
     """
 
     proximal: Scalar
@@ -46,6 +50,7 @@ class Prices(eqx.Module):
     path: Float[Array, "N p"]
     integral: Float[Array, " q"]
     radius: Scalar
+    precision: Scalar
 
 
 class SubproblemData(eqx.Module):
@@ -109,10 +114,9 @@ class SubproblemSolver:
         # Virtual variables make the stages too wide to factorize by stages.
         wide = structure.relaxed or structure.ball
         self._workspace = Workspace(settings, multistage=not wide)
-        blank, places = (
-            _assembled(self.layout, structure, outline.cut(numbers))
-            for numbers in (np.zeros(outline.size), 1.0 + np.arange(outline.size))
-        )
+        numbered = outline.cut(1.0 + np.arange(outline.size))
+        blank = _assembled(self.layout, structure, outline.cut(np.zeros(outline.size)))
+        places = _assembled(self.layout, structure, numbered)
         self._qp = blank
         self._numbers = blank.in_one_vector()
         # Infinite limits are infinite with any data.
@@ -121,13 +125,14 @@ class SubproblemSolver:
         self._varying = np.flatnonzero(np.nan_to_num(shift))
         self._signs = np.sign(shift[self._varying])
         self._places = np.abs(shift[self._varying]).astype(int) - 1
+        self._precision = int(numbered.prices.precision) - 1
         # Threads may solve problems of the same structure.
         self._lock = threading.Lock()
 
     def __call__(self, flat: np.ndarray) -> tuple[QPSolution, np.ndarray]:
         """Solution, and the effort as [solves, iterations, seconds]."""
         with self._lock:
-            solution = self._workspace.solve(self.assemble(flat))
+            solution = self._workspace.solve(self.assemble(flat), flat[self._precision])
         return solution, np.array([1.0, solution.iterations, solution.seconds])
 
     def assemble(self, flat: np.ndarray) -> QP:

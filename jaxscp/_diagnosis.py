@@ -40,7 +40,7 @@ def explain(
 ) -> str:
     """The status' sentence and, unless it is a success, what is wrong where."""
     sentence = sentence_of(status)
-    if bool(status == Status.converged):
+    if bool(status == Status.converged) or bool(status == Status.converged_roughly):
         return sentence
     if bool(status == Status.non_finite):
         return f"{sentence} {_first_non_finite(problem, trajectory)}"

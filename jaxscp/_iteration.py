@@ -85,6 +85,7 @@ def start(
         history=History.empty(records),
         records=zero,
         iterations=zero,
+        polish=zero,
         subproblems=zero,
         qp_iterations=zero,
         qp_seconds=jnp.zeros(()),
@@ -160,6 +161,7 @@ def advance(
     radius: Scalar,
     stationary: Array,
     iterations: Array,
+    polish: Array | None = None,
 ) -> SCPState:
     """Take the step if it was accepted, and write it down either way.
 
@@ -201,6 +203,7 @@ def advance(
         history=history,
         records=state.records + 1,
         iterations=iterations,
+        polish=state.polish if polish is None else polish,
         subproblems=state.subproblems + effort.solves,
         qp_iterations=state.qp_iterations + effort.iterations,
         qp_seconds=state.qp_seconds + effort.seconds,

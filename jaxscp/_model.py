@@ -28,6 +28,8 @@ class Model(eqx.Module):
     """Linear constraints and a convex quadratic cost around a point, all scaled.
 
     - `damping`: diagonal curvature in the cost that its prediction leaves out.
+    - `holding`: weights of half the squared path constraints in the cost, which its
+        prediction leaves out too.
     - `transfers`: by (x, flight time) at each interval's right end: what was taken from
         the curvature of one interval and given to the next, if anything.
     """
@@ -36,12 +38,15 @@ class Model(eqx.Module):
     derivatives: Derivatives
     curvature: Curvature
     damping: Variables | None = None
+    holding: Float[Array, "N p"] | None = None
     transfers: Float[Array, "I s s"] | None = None
 
     @property
     def gradient(self) -> Variables:
         """Gradient of the cost."""
         slope = cost_gradient(self.derivatives)
+        if self.holding is not None:
+            slope = self._with_holding(slope, self.holding * self.residuals.path)
         if self.transfers is None:
             return slope
         # Where defects are closed the transfers do not cancel to first order.
@@ -54,6 +59,15 @@ class Model(eqx.Module):
             ),
             slope.controls - jnp.einsum("krm,kr->km", flow.left_control, taken[:, :n]),
             slope.final_time - jnp.vdot(flow.time, taken[:, :n]) - jnp.sum(taken[:, n]),
+        )
+
+    def _with_holding(self, slope: Variables, push: Float[Array, "N p"]) -> Variables:
+        nodes, free = self.derivatives.nodes, slope.controls.shape[0]
+        by_control = jnp.einsum("kpm,kp->km", nodes.path_control, push)
+        return Variables(
+            slope.states + jnp.einsum("kpn,kp->kn", nodes.path_state, push),
+            slope.controls + by_control[:free],
+            slope.final_time + jnp.vdot(nodes.path_time, push),
         )
 
     def predict(self, step: Variables) -> Residuals:
@@ -69,6 +83,9 @@ class Model(eqx.Module):
         if self.damping is not None:
             squared = jax.tree.map(lambda d, s: jnp.sum(d * s**2), self.damping, step)
             change -= 0.5 * (squared.states + squared.controls + squared.final_time)
+        if self.holding is not None:
+            squares = after.path**2 - self.residuals.path**2
+            change -= 0.5 * jnp.vdot(self.holding, squares)
         if self.transfers is not None:
             defects, n = self.residuals.defects, self.residuals.defects.shape[1]
             change += 0.5 * jnp.einsum(
@@ -159,17 +176,24 @@ def second_order_model(
     derivatives: Derivatives,
     multipliers: PerConstraint,
     damping: Variables,
+    holding: Float[Array, "N p"],
 ) -> Model:
     """Linear constraints, and all of the Lagrangian's curvature, made convex.
 
     **Arguments:**
 
-    - `damping`: of the scaled step; it is part of the curvature.
+    - `damping`: of the scaled step. `holding`: of the path constraints. Both are part
+        of the curvature.
     """
     rates, path = _physical(scaling, multipliers)
     costates = multipliers.dynamics * scaling.objective / scaling.state[None]
     exact = transcription.hessian(point, substeps, costates, rates, path)
-    nodes = exact.shape[0]
+    nodes, at_nodes = exact.shape[0], derivatives.nodes
+    slopes = jnp.concatenate(
+        [at_nodes.path_state, at_nodes.path_control, at_nodes.path_time[:, :, None]],
+        axis=2,
+    )
+    held_back = jnp.einsum("kp,kpi,kpj->kij", holding, slopes, slopes)
     each = jnp.concatenate(
         [
             damping.states,
@@ -179,12 +203,12 @@ def second_order_model(
         axis=1,
     )
     curvature, transfers = convexified(
-        scaling.curvature(exact) + jax.vmap(jnp.diag)(each),
+        scaling.curvature(exact) + jax.vmap(jnp.diag)(each) + held_back,
         derivatives.intervals.next_state,
         transcription.fixed_states,
         damping.final_time / nodes,
     )
-    return Model(residuals, derivatives, curvature, damping, transfers)
+    return Model(residuals, derivatives, curvature, damping, holding, transfers)
 
 
 def _physical(scaling: Scaling, multipliers: PerConstraint) -> tuple[Array, Array]:

@@ -143,6 +143,7 @@ class PaperSCP(AbstractSCP):
             path=weights.path,
             integral=weights.integral,
             radius=state.radius,
+            precision=jnp.asarray(1e-8),
         )
         reference = state.iterate.variables
         limits = step_limits(transcription, state.scaling, reference)

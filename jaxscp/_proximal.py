@@ -11,13 +11,13 @@ from ._iteration import advance, is_finite, linearized, start, tree_where
 from ._layout import Structure
 from ._model import (
     Model,
-    PerConstraint,
     convex_model,
     integral_limits,
     second_order_model,
     worst_violation,
 )
 from ._optimality import Optimality, optimality
+from ._penalty_weights import following
 from ._qp import PIQP
 from ._scp import AbstractSCP
 from ._search import Search, search
@@ -32,47 +32,60 @@ class ProximalSCP(AbstractSCP):
 
     Each subproblem adds half the squared scaled step, times a weight, to a convex model
     of the Lagrangian: the Lagrangian of the paper's norm ball. The ratio of actual to
-    predicted reduction of an exact penalty steers the weight. Penalty weights follow the
-    multipliers; the model has the curvature of costs, path constraints and integrals; a
-    second-order correction takes back what the linearization missed. The dynamics are
-    exact equalities of the subproblem, and virtual control enters only where those
-    cannot be met.
+    predicted reduction of an exact penalty steers the weight, and a second-order
+    correction takes back what the linearization missed. Penalty weights follow the
+    multipliers. The dynamics are exact equalities of the subproblem, and virtual control
+    enters only where those cannot be met.
+
+    The model has all of the Lagrangian's curvature where controls are held and integrals
+    follow the flow; elsewhere that of costs, path constraints and integrals. Near a
+    solution the first is Newton's method with the weight of Levenberg and Marquardt: the
+    iterate is polished to a point that satisfies the optimality conditions.
 
     **Arguments:**
 
-    - `max_iterations`: subproblems allowed, corrections not counted.
-    - `tolerance`: stop once the predicted reduction falls below it, relative to the
-        cost's scale.
-    - `feasibility_tolerance`: allowed defects and violations, relative to the scales.
+    - `tolerance`: of the scaled residual of the optimality conditions.
+    - `max_iterations`: subproblems allowed before polishing, corrections not counted.
+    - `max_polish`: subproblems allowed for polishing.
+    - `min_reduction`: stop where steps promise less, relative to the cost's scale.
+    - `feasibility_tolerance`: defects and violations allowed where the residual cannot
+        be brought below its tolerance, relative to the scales.
     - `initial_weight`: of the proximal term in the first subproblem.
-    - `curvature`: whether path constraints and integrals contribute theirs.
+    - `curvature`: of the model: "all", "nodes" (without the dynamics') or "cost".
     - `correction`: whether poor steps get a second-order correction.
-    - `qp`: the solver of the subproblems; by default as exact as `tolerance` needs.
+    - `qp`: the solver of the subproblems.
     """
 
+    tolerance: float = eqx.field(static=True, default=1e-6)
     max_iterations: int = eqx.field(static=True, default=100)
-    tolerance: float = eqx.field(static=True, default=1e-8)
+    max_polish: int = eqx.field(static=True, default=60)
     min_reduction: float = eqx.field(static=True, default=1e-7)
     feasibility_tolerance: float = eqx.field(static=True, default=1e-5)
     initial_weight: float = eqx.field(static=True, default=10.0)
-    curvature: bool = eqx.field(static=True, default=True)
+    curvature: str = eqx.field(static=True, default="all")
     correction: bool = eqx.field(static=True, default=True)
-    qp: PIQP | None = None
+    qp: PIQP = PIQP()
     # Ratios that accept a step, raise the weight, lower it, and call for a correction.
     accept_ratio: float = eqx.field(static=True, default=0.01)
     poor_ratio: float = eqx.field(static=True, default=0.25)
     good_ratio: float = eqx.field(static=True, default=0.7)
     correction_ratio: float = eqx.field(static=True, default=0.5)
     weight_factor: float = eqx.field(static=True, default=3.0)
-    # Near a solution: residuals there, and the least weight of the proximal term.
+    # Residual below which Newton's method needs no merit function, and the least weight.
     near: float = eqx.field(static=True, default=1e-4)
     min_weight: float = eqx.field(static=True, default=1e-6)
     min_radius: float = eqx.field(static=True, default=1e-12)
-    max_failures: int = eqx.field(static=True, default=5)
     max_radius: float = eqx.field(static=True, default=1e6)
+    max_failures: int = eqx.field(static=True, default=5)
     # Price of virtual variables: above any likely multiplier, raised if it is not.
     initial_ceiling: float = eqx.field(static=True, default=1e2)
     max_ceiling: float = eqx.field(static=True, default=1e6)
+
+    def __check_init__(self):
+        if self.curvature not in ("all", "nodes", "cost"):
+            raise ValueError(
+                f"curvature={self.curvature!r}: choose 'all', 'nodes' or 'cost'."
+            )
 
     def init(self, transcription: Transcription, guess: Variables) -> SCPState:
         return start(
@@ -81,26 +94,25 @@ class ProximalSCP(AbstractSCP):
             SubproblemSolution.none(Structure.of(transcription)),
             radius=1.0 / self.initial_weight,
             ceiling=self.initial_ceiling,
-            records=self.max_iterations,
+            records=self.max_iterations + self.max_polish,
         )
 
     def step(self, transcription: Transcription, state: SCPState) -> SCPState:
         # Where the step before was refused, derivatives are still fresh.
-        refused = state.iterate.fresh
+        refused, before = state.iterate.fresh, state.optimality
         iterate = linearized(transcription, state.scaling, state.iterate)
         gap = optimality(transcription, state.scaling, iterate, state.solution)
+        begun = state.records > 0
+        near = begun & self._is_near(transcription, gap)
+        weight = self._polishing_weight(transcription.nodes, gap, before)
+        radius = jnp.where(near & ~refused, 1.0 / weight, state.radius)
         state = dataclasses.replace(
             state,
             iterate=iterate,
             finite=is_finite(iterate),
-            optimality=jnp.where(state.iterations > 0, gap.residual, jnp.inf),
+            optimality=jnp.where(begun, gap.residual, jnp.inf),
+            radius=radius,
         )
-        near = self._is_near(transcription, gap) & (state.iterations > 0)
-        # Levenberg and Marquardt: a weight that vanishes with the residual converges
-        # fast, and does not stray along directions the cost hardly sees.
-        weight = jnp.maximum(transcription.nodes * gap.stationarity, self.min_weight)
-        radius = jnp.where(near & ~refused, 1.0 / weight, state.radius)
-        state = dataclasses.replace(state, radius=radius)
         return jax.lax.cond(
             state.optimality <= self.tolerance,
             lambda state: state,
@@ -110,40 +122,50 @@ class ProximalSCP(AbstractSCP):
 
     def _is_near(self, transcription: Transcription, gap: Optimality) -> Array:
         """Whether Newton's method may be trusted without a merit function."""
-        if not self._second_order(transcription):
+        if not self._is_second_order(transcription):
             return jnp.array(False)
         return (gap.stationarity <= self.near) & (gap.feasibility <= 10.0 * self.near)
 
-    def _second_order(self, transcription: Transcription) -> bool:
-        return self.curvature and transcription.has_exact_hessian
+    def _is_second_order(self, transcription: Transcription) -> bool:
+        return self.curvature == "all" and transcription.has_exact_hessian
+
+    def _polishing_weight(self, nodes: int, gap: Optimality, before: Scalar) -> Scalar:
+        """Levenberg and Marquardt's: it vanishes with the residual.
+
+        Directions the cost hardly sees, as a quadrotor's yaw, then get long steps, whose
+        curvature disturbs all others. Where the residual has risen, or has hardly
+        fallen, a larger weight closes the gap without moving on.
+        """
+        share = jnp.where(gap.residual > 0.5 * before, 3.0, 3.0)
+        return jnp.maximum(share * nodes * gap.residual, self.min_weight)
 
     def _iterate(
         self, transcription: Transcription, state: SCPState, near: Array
     ) -> SCPState:
         model = self._model(transcription, state)
+        # No ratio is below minus infinity, all are below plus infinity.
+        poor = jnp.where(near, jnp.inf, self.correction_ratio)
         found, judgement = search(
             transcription,
             state,
             model,
             solve=lambda around: self._solve(transcription, state, around),
-            follow=lambda to: _following(state.weights, to, state.ceiling),
+            follow=lambda to: following(state.weights, to, state.ceiling),
             accept_ratio=self.accept_ratio,
-            # No ratio is below minus infinity, all are below plus infinity.
-            correction_ratio=jnp.where(near, jnp.inf, self.correction_ratio)
-            if self.correction
-            else -jnp.inf,
+            correction_ratio=poor if self.correction else jnp.asarray(-jnp.inf),
         )
         # The exact penalty hides progress that is second order in the step.
         harmless = judgement.actual >= -self.near * (1.0 + jnp.abs(judgement.reference))
         trusted = near & found.best.solution.effort.solved & harmless
-        judgement = dataclasses.replace(judgement, accepted=judgement.accepted | trusted)
+        accepted = judgement.accepted | trusted
+        judgement = dataclasses.replace(judgement, accepted=accepted)
         return self._advance(transcription, state, found, judgement, near)
 
     def _model(self, transcription: Transcription, state: SCPState) -> Model:
         iterate, multipliers = state.iterate, state.solution.multipliers
         point = (transcription, state.scaling, iterate.variables)
-        if not self._second_order(transcription):
-            share = 1.0 if self.curvature else 0.0
+        if not self._is_second_order(transcription):
+            share = 0.0 if self.curvature == "cost" else 1.0
             return convex_model(
                 *point,
                 iterate.residuals,
@@ -152,23 +174,34 @@ class ProximalSCP(AbstractSCP):
             )
         return second_order_model(
             *point,
-            iterate.substeps,
+            # Half the steps tell the curvature well enough to converge fast.
+            (iterate.substeps + 1) // 2,
             iterate.residuals,
             iterate.derivatives,
             multipliers,
-            self._damping(transcription, state),
+            *self._damping(transcription, state),
         )
 
-    def _damping(self, transcription: Transcription, state: SCPState) -> Variables:
-        """The proximal term, and the hold that active limits have on their variables."""
-        each = 1.0 / state.radius / transcription.nodes
-        held = jnp.where(transcription.fixed_states, 0.0, state.solution.state)
-        # As strong as a barrier would be at a hundredth of the range.
-        states, controls = (
-            jnp.minimum(100.0 * jnp.where(jnp.abs(m) > 1e-7, jnp.abs(m), 0.0), 1e3)
-            for m in (held, state.solution.control)
+    def _damping(
+        self, transcription: Transcription, state: SCPState
+    ) -> tuple[Variables, Array]:
+        """The proximal term, and the hold of active limits and path constraints.
+
+        The Lagrangian need only be convex along the active limits: holding the step to
+        them costs nothing once it is right which ones are active.
+        """
+        last, each = state.solution, 1.0 / state.radius / transcription.nodes
+
+        def hold(multiplier: Array) -> Array:
+            size = jnp.abs(multiplier)
+            # PIQP leaves traces on limits that are not active.
+            return jnp.minimum(100.0 * jnp.where(size > 1e-7, size, 0.0), 1e3)
+
+        free = jnp.where(transcription.fixed_states, 0.0, last.state)
+        damping = Variables(
+            hold(free) + each, hold(last.control) + each, 1.0 / state.radius
         )
-        return Variables(states + each, controls + each, 1.0 / state.radius)
+        return damping, hold(last.multipliers.path)
 
     def _solve(
         self, transcription: Transcription, state: SCPState, model: Model
@@ -182,12 +215,12 @@ class ProximalSCP(AbstractSCP):
             path=jnp.full_like(residuals.path, ceiling),
             integral=jnp.full_like(residuals.totals, ceiling),
             radius=jnp.zeros(()),
+            # As exact as the way still to go deserves.
+            precision=jnp.clip(1e-5 * state.optimality, 1e-10, 1e-7),
         )
         limits = step_limits(transcription, scaling, reference)
         structure = Structure.of(transcription)
-        # A hundredth of the tolerance; below 1e-8 PIQP's residuals are rounding errors.
-        exact = PIQP(tolerance=1e-10)
-        solution = solve_subproblem(structure, self.qp or exact, model, prices, limits)
+        solution = solve_subproblem(structure, self.qp, model, prices, limits)
         costates = model.costates(solution.multipliers.dynamics, solution.step)
         return eqx.tree_at(lambda s: s.multipliers.dynamics, solution, costates)
 
@@ -200,17 +233,12 @@ class ProximalSCP(AbstractSCP):
         near: Array,
     ) -> SCPState:
         trial = found.best
-        ratio, factor = judgement.ratio, self.weight_factor
-        radius = jnp.where(ratio < self.poor_ratio, state.radius / factor, state.radius)
-        radius = jnp.where(ratio > self.good_ratio, radius * factor, radius)
-        calm = jnp.where(judgement.accepted, state.radius, state.radius / factor**2)
-        radius = jnp.where(near, calm, radius)
         # A heavy proximal term makes every prediction small: take it out again.
         held_back = jnp.maximum(1.0, 1.0 / state.radius)
-        stationary = judgement.predicted * held_back <= self.min_reduction
-        stationary &= ~near
+        stationary = ~near & (judgement.predicted * held_back <= self.min_reduction)
         # Or where violations outweigh the cost: within what a QP solver resolves.
-        stationary |= judgement.predicted <= 1e-9 * jnp.abs(judgement.reference)
+        stationary |= ~near & (judgement.predicted <= 1e-9 * jnp.abs(judgement.reference))
+        stationary |= near & (state.polish + 1 >= self.max_polish)
         stationary &= trial.solution.effort.solved
         limits = integral_limits(transcription, state.scaling)
         here = tree_where(judgement.accepted, trial.residuals, state.iterate.residuals)
@@ -226,28 +254,19 @@ class ProximalSCP(AbstractSCP):
             judgement,
             weights=found.weights,
             ceiling=ceiling,
-            radius=jnp.minimum(radius, self.max_radius),
+            radius=jnp.minimum(
+                self._next_radius(state, judgement, near), self.max_radius
+            ),
             stationary=stationary & (~infeasible | bought) & ~cheap,
-            iterations=state.iterations + 1,
+            iterations=state.iterations + ~near,
+            polish=state.polish + near,
         )
 
-
-def _following(
-    weights: PerConstraint, multipliers: PerConstraint, ceiling: Scalar
-) -> PerConstraint:
-    """Penalty weights just above the multipliers, falling only by halves.
-
-    Powell's rule. Weights far above the multipliers make the merit's valley narrow, and
-    the steps short; an entry whose multiplier happens to vanish keeps a share of the
-    mean, or its defect would be free.
-    """
-
-    def follow(weight: Array, multiplier: Array) -> Array:
-        if not weight.size:
-            return weight
-        wanted = 1.1 * jnp.abs(multiplier)
-        least = 0.1 * jnp.mean(jnp.abs(multiplier))
-        kept = jnp.maximum(wanted, 0.5 * (weight + wanted))
-        return jnp.clip(kept, least, 10.0 * ceiling)
-
-    return jax.tree.map(follow, weights, multipliers)
+    def _next_radius(self, state: SCPState, judgement: Judgement, near: Array) -> Scalar:
+        ratio, factor = judgement.ratio, self.weight_factor
+        change = jnp.where(ratio < self.poor_ratio, 1.0 / factor, 1.0)
+        change = jnp.where(ratio > self.good_ratio, factor, change)
+        # A model that is right so far is right farther out.
+        change = jnp.where(jnp.abs(ratio - 1.0) < 0.15, 2.0 * factor, change)
+        polishing = jnp.where(judgement.accepted, 1.0, 1.0 / factor**2)
+        return state.radius * jnp.where(near, polishing, change)

@@ -78,11 +78,12 @@ class PIQP(eqx.Module):
 
     **Arguments:**
 
-    - `tolerance`: absolute tolerance on residuals and duality gap.
+    - `finest`: least absolute tolerance on residuals and duality gap. A method asks for
+        what its own progress needs.
     - `max_iterations`: interior-point iterations allowed.
     """
 
-    tolerance: float = eqx.field(static=True, default=1e-8)
+    finest: float = eqx.field(static=True, default=1e-10)
     max_iterations: int = eqx.field(static=True, default=100)
 
 
@@ -104,7 +105,7 @@ class Workspace:
         options.kkt_solver = (
             backends.sparse_multistage if multistage else backends.sparse_ldlt
         )
-        options.eps_abs = options.eps_duality_gap_abs = settings.tolerance
+        self._finest = settings.finest
         options.max_iter = settings.max_iterations
         # Trust regions bound every subproblem: dual infeasibility can only be a false
         # alarm, which wide ranges of multipliers do set off.
@@ -118,11 +119,13 @@ class Workspace:
             options.preconditioner_scale_cost = True
         options.compute_timings = True
 
-    def solve(self, qp: QP) -> QPSolution:
+    def solve(self, qp: QP, precision: float = 0.0) -> QPSolution:
         """Solve one QP of this workspace's pattern."""
         if not qp.is_finite:
             # PIQP would iterate on NaN; the caller finds out why they are there.
             return _unsolved(qp)
+        options = self._solver.settings
+        options.eps_abs = options.eps_duality_gap_abs = max(precision, self._finest)
         change = self._solver.update if self._ready else self._solver.setup
         change(qp.P, qp.c, qp.A, qp.b, qp.G, None, qp.h, qp.lower, qp.upper)
         self._ready = True

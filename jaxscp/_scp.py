@@ -57,7 +57,7 @@ class AbstractSCP(eqx.Module):
                 state.stationary & ~feasible & (buffer <= dynamics),
                 Status.virtual_control_remains,
             ),
-            (state.stationary & feasible, Status.converged),
+            (state.stationary & feasible, Status.converged_roughly),
             (state.optimality <= self.tolerance, Status.converged),
             (failed, Status.subproblem_failed),
             (failed & infeasible, Status.subproblem_infeasible),

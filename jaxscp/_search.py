@@ -39,7 +39,7 @@ def search(
     follow: Callable[[PerConstraint], PerConstraint],
     *,
     accept_ratio: float,
-    correction_ratio: float,
+    correction_ratio: Array,
 ) -> tuple[Search, Judgement]:
     """The subproblem's step or, if that is poor, its second-order correction.
 
@@ -103,12 +103,11 @@ def _combined(
 
     Penalty weights and the convergence test speak of that one. Efforts add up.
     """
-    kept = tree_where(first, latest, before)
+    kept = tree_where(better, latest, before)
     total = latest.effort.after(before.effort)
     effort = tree_where(first, latest.effort, total)
     return dataclasses.replace(
         kept,
-        step=tree_where(better, latest.step, kept.step),
         effort=dataclasses.replace(effort, solved=kept.effort.solved),
     )
 

@@ -38,7 +38,8 @@ class Multipliers(eqx.Module):
 class Statistics(eqx.Module):
     """What a solve took.
 
-    - `iterations`: as the method counts them. `subproblems`: QPs solved, corrections and
+    - `iterations`: as the method counts them. `polish_iterations`: those after them that
+        polished. `subproblems`: QPs solved, corrections and
         relaxations included. `qp_iterations`: interior-point iterations in all of them.
     - `substeps`: Runge-Kutta steps an interval at the end. `integration_error`: the
         error they leave, relative to the scales.
@@ -47,6 +48,7 @@ class Statistics(eqx.Module):
     """
 
     iterations: Array
+    polish_iterations: Array
     subproblems: Array
     qp_iterations: Array
     substeps: Array
@@ -63,6 +65,8 @@ class Solution(eqx.Module):
     - `objective`: cost, in its own unit. `integrals`: total of each integral.
     - `multipliers`: named, in physical units.
     - `status`: how the solve ended; `message` says it with names and numbers.
+    - `optimality`: scaled residual of the optimality conditions at the last iterate that
+        was linearized; infinite for methods that do not compute it.
     - `history`: one record for each subproblem. `statistics`: what it took.
     """
 
@@ -74,6 +78,7 @@ class Solution(eqx.Module):
     multipliers: Multipliers
     violations: Violations
     status: Status
+    optimality: Scalar
     history: History
     statistics: Statistics
 
@@ -85,6 +90,11 @@ class Solution(eqx.Module):
     @property
     def converged(self) -> Array:
         """Whether the solve ended at a feasible stationary point."""
+        return self.polished | (self.status == Status.converged_roughly)
+
+    @property
+    def polished(self) -> Array:
+        """Whether the optimality conditions hold to the method's tolerance."""
         return self.status == Status.converged
 
     @property

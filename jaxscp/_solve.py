@@ -87,8 +87,7 @@ def solve(
             raise SolveError(solution)
         return solution
     if throw:
-        failed = solution.status != Status.converged
-        return solution.status.error_if(solution, failed)
+        return solution.status.error_if(solution, ~solution.converged)
     return solution
 
 
@@ -150,9 +149,11 @@ def _solution(transcription: Transcription, state: SCPState, status: Status) -> 
             ),
         ),
         status=status,
+        optimality=state.optimality,
         history=state.history,
         statistics=Statistics(
             iterations=state.iterations,
+            polish_iterations=state.polish,
             subproblems=state.subproblems,
             qp_iterations=state.qp_iterations,
             substeps=iterate.substeps,

@@ -67,7 +67,8 @@ class SCPState(eqx.Module):
 
     - `weights`: of the exact penalty. `ceiling`: price of virtual variables.
     - `radius`: as in [`History`][].
-    - `records`: entries in the history. `iterations`: those the method's limit counts.
+    - `records`: entries in the history. `iterations`: those the method's limit counts,
+        without `polish`, those that polished.
     - `subproblems`, `qp_iterations`, `qp_seconds`: QPs solved, and what they took.
     - `stationary`: no step within the model improves the penalized cost.
     - `failures`: subproblems left unsolved in a row.
@@ -84,6 +85,7 @@ class SCPState(eqx.Module):
     history: History
     records: Array
     iterations: Array
+    polish: Array
     subproblems: Array
     qp_iterations: Array
     qp_seconds: Scalar

@@ -4,9 +4,15 @@ import equinox as eqx
 
 
 class Status(eqx.Enumeration):
-    """Why a solve stopped. Only `converged` is a success."""
+    """Why a solve stopped. `converged` is a success, and so is `converged_roughly`."""
 
-    converged = "Converged to a feasible stationary point of the discrete problem."
+    converged = (
+        "Converged: the optimality conditions of the discrete problem hold to tolerance."
+    )
+    converged_roughly = (
+        "Converged to a feasible point that no step improves; the optimality conditions "
+        "do not hold to tolerance. Raise max_polish if they should."
+    )
     iteration_limit = (
         "The iteration limit was reached before convergence. Raise max_iterations, or "
         "start from a better guess."

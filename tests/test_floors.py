@@ -24,7 +24,7 @@ FLOORS = (
     {"_subproblem"},
     {"_state"},
     {"_iteration", "_optimality", "_scp", "_solution"},
-    {"_search"},
+    {"_search", "_penalty_weights"},
     {"_proximal", "_paper"},
     {"_solve"},
     {"_guess_plan"},
