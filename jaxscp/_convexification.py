@@ -74,7 +74,7 @@ def convexified(
         left = _symmetric(whole[np.ix_(kept, kept)] - taken)
         # Without a minimum along the controls the transfers would run away.
         left = jax.lax.cond(jnp.all(convex), lambda left: left, _convex_part, left)
-        return left, (taken, cross, (vectors * values) @ vectors.T, transfer)
+        return left, (taken, cross, (vectors * values[None]) @ vectors.T, transfer)
 
     lent = jnp.diag(jnp.append(_LENT * fixed[-1], 0.0))
     first, (taken, cross, own, transfers) = jax.lax.scan(

@@ -71,6 +71,8 @@ class ProximalSCP(AbstractSCP):
     good_ratio: float = eqx.field(static=True, default=0.7)
     correction_ratio: float = eqx.field(static=True, default=0.5)
     weight_factor: float = eqx.field(static=True, default=3.0)
+    # Promised reduction below which remaining violations are there to stay.
+    min_progress: float = eqx.field(static=True, default=1e-4)
     # Residual below which Newton's method needs no merit function, and the least weight.
     near: float = eqx.field(static=True, default=1e-4)
     min_weight: float = eqx.field(static=True, default=1e-6)
@@ -233,18 +235,19 @@ class ProximalSCP(AbstractSCP):
         near: Array,
     ) -> SCPState:
         trial = found.best
-        # A heavy proximal term makes every prediction small: take it out again.
-        held_back = jnp.maximum(1.0, 1.0 / state.radius)
-        stationary = ~near & (judgement.predicted * held_back <= self.min_reduction)
-        # Or where violations outweigh the cost: within what a QP solver resolves.
-        stationary |= ~near & (judgement.predicted <= 1e-9 * jnp.abs(judgement.reference))
-        stationary |= near & (state.polish + 1 >= self.max_polish)
-        stationary &= trial.solution.effort.solved
         limits = integral_limits(transcription, state.scaling)
         here = tree_where(judgement.accepted, trial.residuals, state.iterate.residuals)
         infeasible = worst_violation(here, limits) > self.feasibility_tolerance
         # Where even the model leaves a violation, virtual variables may be too cheap.
         bought = worst_violation(found.expected, limits) > self.feasibility_tolerance
+        # A heavy proximal term makes every prediction small: take it out again.
+        promised = judgement.predicted * jnp.maximum(1.0, 1.0 / state.radius)
+        least = jnp.where(bought, self.min_progress, self.min_reduction)
+        # Where violations outweigh the cost: within what a QP solver resolves.
+        noise = 1e-9 * jnp.abs(judgement.reference)
+        stationary = (promised <= least) | (judgement.predicted <= noise)
+        stationary = jnp.where(near, state.polish + 1 >= self.max_polish, stationary)
+        stationary &= trial.solution.effort.solved
         cheap = stationary & bought & (state.ceiling < self.max_ceiling)
         ceiling = jnp.where(cheap, 10.0 * state.ceiling, state.ceiling)
         return advance(

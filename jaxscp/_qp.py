@@ -120,12 +120,14 @@ class Workspace:
         options.compute_timings = True
 
     def solve(self, qp: QP, precision: float = 0.0) -> QPSolution:
-        """Solve one QP of this workspace's pattern."""
+        """Solve one QP of this workspace's pattern, as exactly as `precision` says."""
         if not qp.is_finite:
             # PIQP would iterate on NaN; the caller finds out why they are there.
             return _unsolved(qp)
         options = self._solver.settings
-        options.eps_abs = options.eps_duality_gap_abs = max(precision, self._finest)
+        # In this order NaN asks for the finest.
+        exact = precision if precision > self._finest else self._finest
+        options.eps_abs = options.eps_duality_gap_abs = exact
         change = self._solver.update if self._ready else self._solver.setup
         change(qp.P, qp.c, qp.A, qp.b, qp.G, None, qp.h, qp.lower, qp.upper)
         self._ready = True

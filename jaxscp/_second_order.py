@@ -20,7 +20,7 @@ def flow_hessian(
     x: Float[Array, " n"],
     u: Float[Array, " m"],
     final_time: Scalar,
-    weights: Float[Array, " n+r"],
+    weights: Float[Array, " e"],
 ) -> Float[Array, "v v"]:
     """Hessian of a weighted sum of what one interval of a held control ends with.
 

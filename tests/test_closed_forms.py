@@ -14,7 +14,9 @@ from jaxscp.verify import verify
 BY_NAME = {known.name: known for known in BANK}
 # Much stricter than the defaults: the distance from the optimum is the square root of
 # the predicted reduction's.
-PRECISE = jaxscp.ProximalSCP(tolerance=1e-10, feasibility_tolerance=1e-8)
+PRECISE = jaxscp.ProximalSCP(
+    tolerance=1e-9, min_reduction=1e-12, feasibility_tolerance=1e-8
+)
 every_problem = pytest.mark.parametrize("name", BY_NAME)
 
 

@@ -124,6 +124,8 @@ def test_acceptance_never_raises_the_penalized_cost(states):
 def test_rejection_stays_and_shrinks(states):
     _, _, every = states
     for before, after in itertools.pairwise(every):
+        if int(after.records) == int(before.records):
+            continue  # the last look finds nothing left to do
         record = jax.tree.map(lambda h, k=int(before.records): h[k], after.history)
         same = np.array_equal(
             before.iterate.variables.states, after.iterate.variables.states

@@ -349,7 +349,9 @@ def test_derivatives_that_point_the_wrong_way():
 
 
 def test_a_qp_solver_that_fails(monkeypatch):
-    monkeypatch.setattr(_qp.Workspace, "solve", lambda self, qp: _qp._unsolved(qp))
+    monkeypatch.setattr(
+        _qp.Workspace, "solve", lambda self, qp, precision: _qp._unsolved(qp)
+    )
     solution = solve(cart())
     assert bool(solution.status == jaxscp.Status.subproblem_failed)
     assert solution.message.startswith("The QP solver failed on a subproblem.")
@@ -483,9 +485,10 @@ def test_the_problem_comes_back():
 
 def test_history_ends_with_the_last_record():
     solution = converged()
-    count = int(solution.statistics.iterations)
+    statistics, method = solution.statistics, jaxscp.ProximalSCP()
+    count = int(statistics.iterations + statistics.polish_iterations)
     for name, values in vars(solution.history).items():
-        assert values.shape == (jaxscp.ProximalSCP().max_iterations,), name
+        assert values.shape == (method.max_iterations + method.max_polish,), name
         assert np.isfinite(values[:count]).all(), name
         assert np.isnan(values[count:]).all(), name
     history = jax.tree.map(lambda values: np.asarray(values[:count]), solution.history)

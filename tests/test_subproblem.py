@@ -203,11 +203,12 @@ def prices_of(proximal=2.0, virtual=1e3, path=1e3, integral=1e3, radius=0.0) -> 
         path=jnp.asarray(np.full((NODES, 2), path)),
         integral=jnp.asarray(np.full(2, integral)),
         radius=jnp.asarray(radius),
+        precision=jnp.asarray(0.0),
     )
 
 
 # Multipliers magnify what the default tolerance leaves.
-PRECISE = PIQP(tolerance=1e-10)
+PRECISE = PIQP(finest=1e-10)
 solve = eqx.filter_jit(solve_subproblem)
 predict = eqx.filter_jit(Model.predict)
 
@@ -556,7 +557,7 @@ def test_a_pattern_is_set_up_once(monkeypatch):
             return super().update(*arguments)
 
     monkeypatch.setattr(piqp, "SparseSolver", Counting)
-    settings = PIQP(tolerance=2e-8)  # no other test's solver
+    settings = PIQP(finest=2e-8)  # no other test's solver
     for parts, prices in (
         (parts_of(), prices_of()),
         (parts_of(), prices_of(proximal=7.0)),
@@ -568,7 +569,7 @@ def test_a_pattern_is_set_up_once(monkeypatch):
     assert calls == ["setup", "update", "update"]
     again = Structure.of(transcribed(problem_of(wide=1.5)))
     solver, numbers = solver_and_numbers(structure_of(), settings, parts, prices)
-    same, _ = solver_and_numbers(again, PIQP(tolerance=2e-8), parts, prices)
+    same, _ = solver_and_numbers(again, PIQP(finest=2e-8), parts, prices)
     assert same is solver
     assert solver.assemble(numbers) is solver.assemble(numbers)
 
@@ -671,12 +672,12 @@ def test_the_hessian_is_the_curvature_made_convex():
         expected = np.zeros(7)
         expected[:2] = per_metre * scaling.state[:2] ** 2
         expected[4:6] = 2.0 * seconds[k] * scaling.control[:2] ** 2 / scaling.objective
-        assert_allclose(model.hessian[k], np.diag(expected), atol=1e-9)
+        assert_allclose(model.curvature.blocks[k], np.diag(expected), atol=1e-9)
     assert per_metre > 0.0
     # The disc alone curves the wrong way, and counts no more than nothing.
     multipliers = multipliers_of(0.0, disc, drift=5.0, signal=0.0)
     _, model, _ = prepare(transcription, there, multipliers)
-    assert_allclose(model.hessian[:, :4, :4], 0.0, atol=1e-12)
+    assert_allclose(model.curvature.blocks[:, :4, :4], 0.0, atol=1e-12)
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -685,7 +686,7 @@ def test_the_hessian_is_convex(seed):
     transcription = transcribed(problem_of())
     multipliers = multipliers_of(*10.0 * draw.normal(size=4))
     hessian = np.asarray(
-        prepare(transcription, flown(transcription), multipliers)[1].hessian
+        prepare(transcription, flown(transcription), multipliers)[1].curvature.blocks
     )
     assert_allclose(hessian, np.swapaxes(hessian, 1, 2), atol=1e-12)
     assert np.linalg.eigvalsh(hessian).min() > -1e-12 * np.abs(hessian).max()
