@@ -19,7 +19,7 @@ from ._discretization import Jacobian
 from ._layout import Entries, Layout, Structure
 from ._model import Model
 from ._qp import PIQP, QP, QPSolution, Workspace
-from ._transcription import Variables
+from ._transcription import Derivatives, Residuals, Variables
 from ._types import Array, Float, Scalar
 
 
@@ -54,9 +54,11 @@ class Prices(eqx.Module):
 
 
 class SubproblemData(eqx.Module):
-    """What travels to the host; the Hessian has the proximal term in it."""
+    """What travels to the host; the curvature has the proximal term in it."""
 
-    model: Model
+    residuals: Residuals
+    derivatives: Derivatives
+    curvature: Curvature
     gradient: Variables
     prices: Prices
     limits: Limits
@@ -71,8 +73,8 @@ class SubproblemData(eqx.Module):
             # The flight time moves every node: it counts once for each of them.
             model.curvature.corner + prices.proximal,
         )
-        linear = Model(model.residuals, model.derivatives, curvature)
-        return cls(linear, model.gradient, prices, limits)
+        linear = (model.residuals, model.derivatives)
+        return cls(*linear, curvature, model.gradient, prices, limits)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,6 +113,7 @@ class SubproblemSolver:
 
     def __init__(self, structure: Structure, settings: PIQP, outline: Outline):
         self.layout = Layout(structure)
+        self._relaxed = structure.relaxed
         # Virtual variables make the stages too wide to factorize by stages.
         wide = structure.relaxed or structure.ball
         self._workspace = Workspace(settings, multistage=not wide)
@@ -169,7 +172,7 @@ class SubproblemSolver:
                 states.ravel(),
                 controls.ravel(),
                 time,
-                [solution.solved, solution.infeasible],
+                [solution.solved, solution.infeasible, self._relaxed],
                 [solution.primal_residual, solution.dual_residual],
                 effort,
             ]
@@ -181,12 +184,12 @@ def _assembled(layout: Layout, structure: Structure, data: SubproblemData) -> QP
     P.new_rows(layout.columns)
     b = np.concatenate(
         [
-            *_dynamics(A, layout, data.model, relaxed=structure.relaxed),
-            *_totals(A, layout, data.model),
+            *_dynamics(A, layout, data, relaxed=structure.relaxed),
+            *_totals(A, layout, data),
             *_fixed(A, layout, data.limits),
         ]
     )
-    h = [*_path(G, layout, data.model)]
+    h = [*_path(G, layout, data)]
     if structure.ball:
         h += _ball(G, layout, data.prices)
     c = _cost(P, layout, data, relaxed=structure.relaxed)
@@ -197,27 +200,27 @@ def _assembled(layout: Layout, structure: Structure, data: SubproblemData) -> QP
     )
 
 
-def _dynamics(A: Entries, layout: Layout, model: Model, *, relaxed: bool):
+def _dynamics(A: Entries, layout: Layout, data: SubproblemData, *, relaxed: bool):
     """Linearized dynamics."""
-    defects = model.residuals.defects
+    defects = data.residuals.defects
     rows = A.new_rows(*defects.shape)
     A.add(rows, layout.states[1:], 1.0)
-    _subtract(A, rows, layout, model.derivatives.intervals.next_state, slice(None))
+    _subtract(A, rows, layout, data.derivatives.intervals.next_state, slice(None))
     if relaxed:
         A.add(rows, layout.virtual[0], 1.0)
         A.add(rows, layout.virtual[1], -1.0)
     yield -defects.ravel()
 
 
-def _totals(A: Entries, layout: Layout, model: Model):
+def _totals(A: Entries, layout: Layout, data: SubproblemData):
     """Integrals up to each node; the last one may lean on its buffers."""
-    growth = model.residuals.increments[:, :-1]
+    growth = data.residuals.increments[:, :-1]
     rows = A.new_rows(*growth.shape)
     if rows.size:
         A.add(rows, layout.totals[1:], 1.0)
         A.add(rows[1:], layout.totals[1:-1], -1.0)
         part = slice(None, -1)
-        _subtract(A, rows, layout, model.derivatives.intervals.increments, part)
+        _subtract(A, rows, layout, data.derivatives.intervals.increments, part)
         A.add(rows[-1], layout.integral_buffers[0], -1.0)
         A.add(rows[-1], layout.integral_buffers[1], 1.0)
     yield growth.ravel()
@@ -254,9 +257,9 @@ def _limited(layout: Layout, limits: Limits):
     )
 
 
-def _path(G: Entries, layout: Layout, model: Model):
+def _path(G: Entries, layout: Layout, data: SubproblemData):
     """Linearized path constraints, less their buffers."""
-    nodes, path = model.derivatives.nodes, model.residuals.path
+    nodes, path = data.derivatives.nodes, data.residuals.path
     rows = G.new_rows(*path.shape)
     if rows.size:
         # Where a node has no control of its own, the last one is held to it.
@@ -293,7 +296,7 @@ def _cost(P: Entries, layout: Layout, data: SubproblemData, *, relaxed: bool):
     nodes, n = layout.states.shape
     free, m = layout.controls.shape
     prices, gradient = data.prices, data.gradient
-    blocks, border = data.model.curvature.blocks, data.model.curvature.border
+    blocks, border = data.curvature.blocks, data.curvature.border
     up, across = np.triu_indices(n + m)
     both = np.concatenate([layout.states[:free], layout.controls], axis=1)
     P.add(both[:, up], both[:, across], blocks[:free, up, across])
@@ -302,7 +305,7 @@ def _cost(P: Entries, layout: Layout, data: SubproblemData, *, relaxed: bool):
     P.add(only[:, up], only[:, across], blocks[free:, up, across])
     P.add(both, layout.time, border[:free])
     P.add(only, layout.time, border[free:, :n])
-    P.add(layout.time, layout.time, data.model.curvature.corner)
+    P.add(layout.time, layout.time, data.curvature.corner)
 
     c = np.zeros(layout.columns)
     c[layout.states], c[layout.controls] = gradient.states, gradient.controls

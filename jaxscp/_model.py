@@ -37,32 +37,30 @@ class Model(eqx.Module):
     residuals: Residuals
     derivatives: Derivatives
     curvature: Curvature
-    damping: Variables | None = None
-    holding: Float[Array, "N p"] | None = None
-    transfers: Float[Array, "I s s"] | None = None
+    damping: Variables
+    holding: Float[Array, "N p"]
+    transfers: Float[Array, "I s s"]
 
     @property
     def gradient(self) -> Variables:
         """Gradient of the cost."""
-        slope = cost_gradient(self.derivatives)
-        if self.holding is not None:
-            slope = self._with_holding(slope, self.holding * self.residuals.path)
-        if self.transfers is None:
-            return slope
+        slope = self._held(cost_gradient(self.derivatives))
         # Where defects are closed the transfers do not cancel to first order.
         flow = self.derivatives.intervals.next_state
         n = self.residuals.defects.shape[1]
         taken = jnp.einsum("kij,kj->ki", self.transfers[:, :, :n], self.residuals.defects)
+        by_state = jnp.einsum("krn,kr->kn", flow.left_state, taken[:, :n])
+        by_control = jnp.einsum("krm,kr->km", flow.left_control, taken[:, :n])
         return Variables(
-            slope.states.at[:-1].add(
-                -jnp.einsum("krn,kr->kn", flow.left_state, taken[:, :n])
-            ),
-            slope.controls - jnp.einsum("krm,kr->km", flow.left_control, taken[:, :n]),
+            slope.states.at[:-1].add(-by_state),
+            # Only held controls know transfers.
+            slope.controls.at[: by_control.shape[0]].add(-by_control),
             slope.final_time - jnp.vdot(flow.time, taken[:, :n]) - jnp.sum(taken[:, n]),
         )
 
-    def _with_holding(self, slope: Variables, push: Float[Array, "N p"]) -> Variables:
+    def _held(self, slope: Variables) -> Variables:
         nodes, free = self.derivatives.nodes, slope.controls.shape[0]
+        push = self.holding * self.residuals.path
         by_control = jnp.einsum("kpm,kp->km", nodes.path_control, push)
         return Variables(
             slope.states + jnp.einsum("kpn,kp->kn", nodes.path_state, push),
@@ -80,25 +78,20 @@ class Model(eqx.Module):
         change += jnp.vdot(slope.controls, step.controls)
         change += slope.final_time * step.final_time
         change += self.curvature.along(z, step.final_time)
-        if self.damping is not None:
-            squared = jax.tree.map(lambda d, s: jnp.sum(d * s**2), self.damping, step)
-            change -= 0.5 * (squared.states + squared.controls + squared.final_time)
-        if self.holding is not None:
-            squares = after.path**2 - self.residuals.path**2
-            change -= 0.5 * jnp.vdot(self.holding, squares)
-        if self.transfers is not None:
-            defects, n = self.residuals.defects, self.residuals.defects.shape[1]
-            change += 0.5 * jnp.einsum(
-                "ki,kij,kj->", defects, self.transfers[:, :n, :n], defects
-            )
+        squared = jax.tree.map(lambda d, s: jnp.sum(d * s**2), self.damping, step)
+        change -= 0.5 * (squared.states + squared.controls + squared.final_time)
+        squares = after.path**2 - self.residuals.path**2
+        change -= 0.5 * jnp.vdot(self.holding, squares)
+        defects, n = self.residuals.defects, self.residuals.defects.shape[1]
+        change += 0.5 * jnp.einsum(
+            "ki,kij,kj->", defects, self.transfers[:, :n, :n], defects
+        )
         return dataclasses.replace(after, objective=self.residuals.objective + change)
 
     def costates(
         self, multipliers: Float[Array, "I n"], step: Variables
     ) -> Float[Array, "I n"]:
         """Multipliers of the dynamics, from those of the QP with its transfers."""
-        if self.transfers is None:
-            return multipliers
         n = multipliers.shape[1]
         given = jnp.einsum("kij,kj->ki", self.transfers[:, :n, :n], step.states[1:])
         return multipliers - given - self.transfers[:, :n, n] * step.final_time
@@ -164,7 +157,15 @@ def convex_model(
     kept = jnp.maximum(values, 0.0)
     hessian = jnp.einsum("kij,kj,klj->kil", vectors, kept, vectors)
     flat = Curvature(hessian, jnp.zeros(hessian.shape[:2]), jnp.zeros(()))
-    return Model(residuals, derivatives, flat)
+    size, intervals = point.states.shape[1] + 1, point.states.shape[0] - 1
+    return Model(
+        residuals,
+        derivatives,
+        flat,
+        damping=jax.tree.map(jnp.zeros_like, point),
+        holding=jnp.zeros_like(residuals.path),
+        transfers=jnp.zeros((intervals, size, size)),
+    )
 
 
 def second_order_model(

@@ -163,25 +163,34 @@ class ProximalSCP(AbstractSCP):
         judgement = dataclasses.replace(judgement, accepted=accepted)
         return self._advance(transcription, state, found, judgement, near)
 
+    def _uses_exact(self, transcription: Transcription, state: SCPState) -> Array:
+        """Whether the next model has all of the curvature.
+
+        Not after virtual control was needed: along dynamics that are not met, what one
+        interval takes from another does not cancel.
+        """
+        exact = self._is_second_order(transcription)
+        return jnp.array(exact) & ~state.solution.effort.relaxed
+
     def _model(self, transcription: Transcription, state: SCPState) -> Model:
         iterate, multipliers = state.iterate, state.solution.multipliers
         point = (transcription, state.scaling, iterate.variables)
+        known = (iterate.residuals, iterate.derivatives)
+        share = 0.0 if self.curvature == "cost" else 1.0
+        weighed = jax.tree.map(lambda leaf: share * leaf, multipliers)
         if not self._is_second_order(transcription):
-            share = 0.0 if self.curvature == "cost" else 1.0
-            return convex_model(
+            return convex_model(*point, *known, weighed)
+        return jax.lax.cond(
+            self._uses_exact(transcription, state),
+            lambda: second_order_model(
                 *point,
-                iterate.residuals,
-                iterate.derivatives,
-                jax.tree.map(lambda leaf: share * leaf, multipliers),
-            )
-        return second_order_model(
-            *point,
-            # Half the steps tell the curvature well enough to converge fast.
-            (iterate.substeps + 1) // 2,
-            iterate.residuals,
-            iterate.derivatives,
-            multipliers,
-            *self._damping(transcription, state),
+                # Half the steps tell the curvature well enough to converge fast.
+                (iterate.substeps + 1) // 2,
+                *known,
+                multipliers,
+                *self._damping(transcription, state),
+            ),
+            lambda: convex_model(*point, *known, weighed),
         )
 
     def _damping(
@@ -212,7 +221,9 @@ class ProximalSCP(AbstractSCP):
         residuals, ceiling = model.residuals, state.ceiling
         prices = Prices(
             # Exact models have it in them already.
-            proximal=1.0 / state.radius if model.damping is None else jnp.zeros(()),
+            proximal=jnp.where(
+                self._uses_exact(transcription, state), 0.0, 1.0 / state.radius
+            ),
             virtual_control=jnp.full_like(residuals.defects, ceiling),
             path=jnp.full_like(residuals.path, ceiling),
             integral=jnp.full_like(residuals.totals, ceiling),

@@ -113,7 +113,8 @@ class Workspace:
         if multistage:
             # The blocks come scaled; equilibrating them takes a fifth of the time.
             options.preconditioner_iter = 0
-            options.eps_rel = options.eps_duality_gap_rel = 0.0
+            # Next to rounding: the absolute tolerance is what counts.
+            options.eps_rel = options.eps_duality_gap_rel = 1e-12
         else:
             # Prices of virtual variables dwarf the rest of the cost.
             options.preconditioner_scale_cost = True

@@ -23,6 +23,7 @@ class Effort(eqx.Module):
     """How a subproblem went.
 
     - `solved`, `infeasible`: truth values of the last QP.
+    - `relaxed`: whether it had virtual control.
     - `primal_residual`, `dual_residual`: of the last QP, as PIQP reports them.
     - `solves`: QPs solved. `iterations`: interior-point iterations in all of them.
         `seconds`: time in PIQP.
@@ -30,6 +31,7 @@ class Effort(eqx.Module):
 
     solved: Array
     infeasible: Array
+    relaxed: Array
     primal_residual: Scalar
     dual_residual: Scalar
     solves: Array
@@ -41,6 +43,7 @@ class Effort(eqx.Module):
         return Effort(
             self.solved,
             self.infeasible,
+            self.relaxed,
             self.primal_residual,
             self.dual_residual,
             self.solves + earlier.solves,
@@ -78,7 +81,7 @@ class SubproblemSolution(eqx.Module):
             state=states,
             control=controls,
             final_time=zero,
-            effort=Effort(yes, ~yes, zero, zero, count, count, zero),
+            effort=Effort(yes, ~yes, ~yes, zero, zero, count, count, zero),
         )
 
 
