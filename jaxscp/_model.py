@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from ._convexification import Curvature, convexified
+from ._lagrangian import lagrangian_hessian, nodal_curvature
 from ._scaling import Scaling
 from ._transcription import Derivatives, Residuals, Transcription, Variables, held
 from ._types import Array, Float, Scalar
@@ -152,7 +153,7 @@ def convex_model(
     - `multipliers`: scaled; those of the dynamics do not count.
     """
     rates, path = _physical(scaling, multipliers)
-    blocks = transcription.curvature(point, rates, path)
+    blocks = nodal_curvature(transcription, point, rates, path)
     values, vectors = jnp.linalg.eigh(scaling.curvature(blocks))
     kept = jnp.maximum(values, 0.0)
     hessian = jnp.einsum("kij,kj,klj->kil", vectors, kept, vectors)
@@ -188,7 +189,7 @@ def second_order_model(
     """
     rates, path = _physical(scaling, multipliers)
     costates = multipliers.dynamics * scaling.objective / scaling.state[None]
-    exact = transcription.hessian(point, substeps, costates, rates, path)
+    exact = lagrangian_hessian(transcription, point, substeps, costates, rates, path)
     nodes, at_nodes = exact.shape[0], derivatives.nodes
     slopes = jnp.concatenate(
         [at_nodes.path_state, at_nodes.path_control, at_nodes.path_time[:, :, None]],

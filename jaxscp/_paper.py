@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._assembly import Prices
 from ._iteration import advance, is_finite, judge, linearized, start, try_step
 from ._layout import Structure
 from ._model import Model, PerConstraint, convex_model, integral_limits, penalized_cost
@@ -14,6 +13,7 @@ from ._qp import PIQP
 from ._scp import AbstractSCP
 from ._state import SCPState
 from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
+from ._subproblem_data import Prices
 from ._transcription import Transcription, Variables
 
 

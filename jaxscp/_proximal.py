@@ -6,7 +6,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._assembly import Prices
 from ._iteration import advance, is_finite, linearized, start, tree_where
 from ._layout import Structure
 from ._model import (
@@ -23,6 +22,7 @@ from ._scp import AbstractSCP
 from ._search import Search, search
 from ._state import Judgement, SCPState
 from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
+from ._subproblem_data import Prices
 from ._transcription import Transcription, Variables
 from ._types import Array, Scalar
 

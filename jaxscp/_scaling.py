@@ -12,6 +12,7 @@ import jax.numpy as jnp
 
 from ._bounds import Bounds
 from ._discretization import IntervalJacobians, Jacobian
+from ._lagrangian import nodal_curvature
 from ._transcription import (
     Derivatives,
     NodeDerivatives,
@@ -165,7 +166,7 @@ def _objective_scale(
     """
     rates = jnp.zeros(len(transcription.problem.integrals) + 1).at[-1].set(1.0)
     none = jnp.zeros(nodes.path_time.shape)
-    blocks = transcription.curvature(guess, rates, none)
+    blocks = nodal_curvature(transcription, guess, rates, none)
     traces = jnp.trace(sizes.curvature(blocks), axis1=1, axis2=2)
     by_state, by_control = jax.vmap(
         jax.grad(transcription.problem.running_cost, argnums=(1, 2))

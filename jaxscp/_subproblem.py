@@ -9,12 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ._assembly import Limits, Outline, Prices, SubproblemData, subproblem_solver
+from ._assembly import subproblem_solver
 from ._bounds import Bounds
 from ._layout import Structure
 from ._model import Model, PerConstraint, integral_limits
 from ._qp import PIQP
 from ._scaling import Scaling
+from ._subproblem_data import Limits, Outline, Prices, SubproblemData
 from ._transcription import Transcription, Variables
 from ._types import Array, Float, Scalar
 

@@ -20,7 +20,6 @@ from ._discretization import (
 )
 from ._hold import ZeroOrderHold
 from ._problem import OptimalControlProblem
-from ._second_order import flow_hessian
 from ._trajectory import Trajectory
 from ._types import Array, Float, Scalar
 
@@ -169,7 +168,7 @@ class Transcription(eqx.Module):
 
         def at_node(fraction, x, u):
             def path(x, u, time):
-                return self._path(time * fraction, x, u)
+                return self.path(time * fraction, x, u)
 
             return jax.jacfwd(path, argnums=(0, 1, 2))(x, u, variables.final_time)
 
@@ -191,127 +190,11 @@ class Transcription(eqx.Module):
         terminal = self.problem.terminal_cost(variables.final_time, variables.states[-1])
         return totals.at[-1].add(terminal)
 
-    def curvature(
-        self,
-        variables: Variables,
-        rate_weights: Float[Array, " r"],
-        path_weights: Float[Array, "N p"],
-    ) -> Float[Array, "N w w"]:
-        """Hessian of the weighted integrands and path constraints, node by node.
-
-        The second derivative of the Lagrangian but for the dynamics' part: integrands
-        count with the time their node stands for, path constraints once.
-        """
-        _, widths = self.grid
-        none = jnp.zeros(1)
-        state_share = 0.5 * (jnp.append(widths, none) + jnp.append(none, widths))
-        # A held control acts on the interval behind its node only.
-        held_control = self.control_nodes < self.nodes
-        control_share = jnp.append(widths, none) if held_control else state_share
-        final_time = variables.final_time
-        size = self.problem.state_size
-
-        def block(fraction, x, u, of_state, of_control, weights):
-            t = final_time * fraction
-
-            def rates(z):
-                values = integrand_rates(self.problem, t, z[:size], z[size:])
-                return rate_weights @ values
-
-            def path(z):
-                return weights @ self._path(t, z[:size], z[size:])
-
-            z = jnp.concatenate([x, u])
-            share = jnp.concatenate(
-                [
-                    jnp.broadcast_to(of_state, x.shape),
-                    jnp.broadcast_to(of_control, u.shape),
-                ]
-            )
-            root = jnp.sqrt(final_time * share)
-            hessian = jax.hessian(rates)(z) * jnp.outer(root, root)
-            return hessian + jax.hessian(path)(z) if weights.size else hessian
-
-        blocks = jax.vmap(block)(
-            self.fractions,
-            variables.states,
-            self.nodal_controls(variables),
-            state_share,
-            control_share,
-            path_weights,
-        )
-        terminal = jax.hessian(self.problem.terminal_cost, argnums=1)(
-            final_time, variables.states[-1]
-        )
-        blocks = blocks.at[-1, :size, :size].add(rate_weights[-1] * terminal)
-        if not held_control:
-            return blocks
-        # The last node has no control of its own.
-        return blocks.at[-1, size:].set(0.0).at[-1, :, size:].set(0.0)
-
     @property
     def has_exact_hessian(self) -> bool:
-        """Whether [`Transcription.hessian`][] knows this discretization."""
+        """Whether [`lagrangian_hessian`][] knows this discretization."""
         kind = self.discretization
         return isinstance(kind.hold, ZeroOrderHold) and kind.quadrature is Quadrature.FLOW
-
-    def hessian(
-        self,
-        variables: Variables,
-        substeps: Array | int,
-        costates: Float[Array, "I n"],
-        rate_weights: Float[Array, " r"],
-        path_weights: Float[Array, "N p"],
-    ) -> Float[Array, "N v v"]:
-        """Hessian of the Lagrangian, exact, by (x, u, flight time) of each node.
-
-        **Arguments:**
-
-        - `costates`: multipliers of the defects.
-        - `rate_weights`: of the integrals and the cost. `path_weights`: of the path
-            constraints.
-        """
-        size, final_time = self.problem.state_size, variables.final_time
-        # A defect is the next node minus the flow's end.
-        weights = jnp.concatenate(
-            [
-                -costates,
-                jnp.broadcast_to(rate_weights, (self.nodes - 1, *rate_weights.shape)),
-            ],
-            axis=1,
-        )
-        flow = jax.vmap(
-            lambda span, x, u, weights: flow_hessian(
-                self.problem,
-                self.discretization,
-                substeps,
-                span,
-                x,
-                u,
-                final_time,
-                weights,
-            )
-        )(self.grid, variables.states[:-1], variables.controls, weights)
-
-        def at_node(fraction, x, u, weights):
-            def path(v):
-                return weights @ self._path(v[-1] * fraction, v[:size], v[size:-1])
-
-            return jax.hessian(path)(jnp.concatenate([x, u, final_time[None]]))
-
-        def terminal(v):
-            return rate_weights[-1] * self.problem.terminal_cost(v[-1], v[:size])
-
-        last = jnp.concatenate(
-            [variables.states[-1], variables.controls[-1], final_time[None]]
-        )
-        blocks = jnp.zeros((self.nodes, last.size, last.size)).at[:-1].add(flow)
-        blocks = blocks.at[-1].add(jax.hessian(terminal)(last))
-        if not path_weights.size:
-            return blocks
-        controls = self.nodal_controls(variables)
-        path = jax.vmap(at_node)(self.fractions, variables.states, controls, path_weights)
-        return blocks + path
 
     def _arguments(self, variables: Variables, substeps):
         return (
@@ -324,14 +207,15 @@ class Transcription(eqx.Module):
             variables.final_time,
         )
 
-    def _path(self, t: Scalar, x: Array, u: Array) -> Float[Array, " p"]:
+    def path(self, t: Scalar, x: Array, u: Array) -> Float[Array, " p"]:
+        """All path constraints, one after the other, at one moment."""
         constraints = self.problem.path_constraints.values()
         values = [jnp.ravel(constraint(t, x, u)) for constraint in constraints]
         return jnp.concatenate(values) if values else jnp.zeros(0, x.dtype)
 
     def _residuals(self, variables: Variables, intervals: Intervals) -> Residuals:
         states, final_time = variables.states, variables.final_time
-        path = jax.vmap(self._path)(
+        path = jax.vmap(self.path)(
             final_time * self.fractions, states, self.nodal_controls(variables)
         )
         terminal = self.problem.terminal_cost(final_time, states[-1])

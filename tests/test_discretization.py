@@ -16,6 +16,7 @@ from scipy.linalg import expm
 
 from jaxscp import Bounds, FirstOrderHold, OptimalControlProblem, ZeroOrderHold, missions
 from jaxscp._discretization import Discretization, Quadrature, flow_within
+from jaxscp._lagrangian import nodal_curvature
 from jaxscp._problem import Integral
 from jaxscp._transcription import Residuals, Transcription, Variables
 
@@ -407,7 +408,7 @@ def test_limits_of_the_nodes():
 
 @eqx.filter_jit
 def curvature(transcription, variables, rate_weights, path_weights):
-    return transcription.curvature(variables, rate_weights, path_weights)
+    return nodal_curvature(transcription, variables, rate_weights, path_weights)
 
 
 def weights_of(transcription, seed=1):

@@ -14,6 +14,7 @@ from jaxscp import Bounds, OptimalControlProblem
 from jaxscp._convexification import Curvature, convexified
 from jaxscp._discretization import Discretization, Jacobian, Quadrature
 from jaxscp._hold import FirstOrderHold
+from jaxscp._lagrangian import lagrangian_hessian
 from jaxscp._layout import Structure
 from jaxscp._optimality import optimality
 from jaxscp._problem import Integral
@@ -62,8 +63,11 @@ def test_the_hessian_is_that_of_the_lagrangian():
     draw = np.random.default_rng(1).normal
     costates, rates = draw(size=(INTERVALS, 2)), np.array([0.7, 1.3])
     path = draw(size=(5, 1))
-    blocks = transcription.hessian(
-        variables, jnp.asarray(SUBSTEPS), *map(jnp.asarray, (costates, rates, path))
+    blocks = lagrangian_hessian(
+        transcription,
+        variables,
+        jnp.asarray(SUBSTEPS),
+        *map(jnp.asarray, (costates, rates, path)),
     )
 
     def lagrangian(flat):
@@ -113,7 +117,7 @@ def test_convexification_keeps_the_form_along_the_dynamics(seed):
     flow, draw = flow_of(seed), np.random.default_rng(seed + 50).normal
     hessian = draw(size=(INTERVALS + 1, n + m + 1, n + m + 1))
     hessian = hessian + np.swapaxes(hessian, 1, 2)  # indefinite
-    hessian[:, n : n + m, n : n + m] += 60.0 * np.eye(m)  # but not along the controls
+    hessian[:, n : n + m, n : n + m] += 900.0 * np.eye(m)  # but not along the controls
     hessian[:-1, -1, -1] += 400.0
     fixed = np.zeros((INTERVALS + 1, n), bool)
     fixed[0] = True

@@ -17,7 +17,7 @@ from numpy.testing import assert_allclose
 from scipy.linalg import block_diag
 
 from jaxscp import Bounds, FirstOrderHold, OptimalControlProblem, ZeroOrderHold
-from jaxscp._assembly import Limits, Outline, Prices, SubproblemData, subproblem_solver
+from jaxscp._assembly import subproblem_solver
 from jaxscp._discretization import Discretization, Quadrature
 from jaxscp._layout import Layout, Structure
 from jaxscp._model import (
@@ -33,6 +33,7 @@ from jaxscp._problem import Integral
 from jaxscp._qp import PIQP
 from jaxscp._scaling import Scaling, automatic_scaling
 from jaxscp._subproblem import SubproblemSolution, solve_subproblem, step_limits
+from jaxscp._subproblem_data import Limits, Outline, Prices, SubproblemData
 from jaxscp._transcription import Residuals, Transcription, Variables
 
 INF = np.inf
