@@ -49,7 +49,10 @@ def measure(name: str, nodes: int, repeats: int) -> dict:
         "objective": objective,
         "above_best_known": None if best is None else objective / best - 1,
         "final_time": float(solution.trajectory.final_time),
+        "polished": bool(solution.polished),
+        "optimality": float(solution.optimality),
         "iterations": int(statistic.iterations),
+        "polish_iterations": int(statistic.polish_iterations),
         "subproblems": int(statistic.subproblems),
         "cold_seconds": cold,
         "warm_seconds": statistics.median(warm),
@@ -71,6 +74,7 @@ def main() -> None:
         rows.append(row)
         print(
             f"{name:22} {row['objective']:12.2f} N^2 s  {row['iterations']:3d} iterations"
+            f" + {row['polish_iterations']:2d} to {row['optimality']:.0e}"
             f"  {row['warm_seconds']:.3f} s warm ({row['piqp_seconds']:.3f} s in PIQP)"
             f"  {row['cold_seconds']:.1f} s cold  verified: {row['verified']}",
             flush=True,

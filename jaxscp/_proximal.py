@@ -101,12 +101,15 @@ class ProximalSCP(AbstractSCP):
 
     def step(self, transcription: Transcription, state: SCPState) -> SCPState:
         # Where the step before was refused, derivatives are still fresh.
-        refused, before = state.iterate.fresh, state.optimality
+        refused = state.iterate.fresh
         iterate = linearized(transcription, state.scaling, state.iterate)
         gap = optimality(transcription, state.scaling, iterate, state.solution)
         begun = state.records > 0
         near = begun & self._is_near(transcription, gap)
-        weight = self._polishing_weight(transcription.nodes, gap, before)
+        # Levenberg and Marquardt: a weight that vanishes with the residual converges
+        # fast, and does not stray along directions the cost hardly sees. Three holds
+        # such steps, as of a quadrotor's yaw, to a third of the range.
+        weight = jnp.maximum(3.0 * transcription.nodes * gap.residual, self.min_weight)
         radius = jnp.where(near & ~refused, 1.0 / weight, state.radius)
         state = dataclasses.replace(
             state,
@@ -130,16 +133,6 @@ class ProximalSCP(AbstractSCP):
 
     def _is_second_order(self, transcription: Transcription) -> bool:
         return self.curvature == "all" and transcription.has_exact_hessian
-
-    def _polishing_weight(self, nodes: int, gap: Optimality, before: Scalar) -> Scalar:
-        """Levenberg and Marquardt's: it vanishes with the residual.
-
-        Directions the cost hardly sees, as a quadrotor's yaw, then get long steps, whose
-        curvature disturbs all others. Where the residual has risen, or has hardly
-        fallen, a larger weight closes the gap without moving on.
-        """
-        share = jnp.where(gap.residual > 0.5 * before, 3.0, 3.0)
-        return jnp.maximum(share * nodes * gap.residual, self.min_weight)
 
     def _iterate(
         self, transcription: Transcription, state: SCPState, near: Array

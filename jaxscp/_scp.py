@@ -79,13 +79,19 @@ def run(
 ) -> tuple[SCPState, Status]:
     """Iterate until the method terminates, in one compiled loop."""
 
+    def report(state: SCPState) -> None:
+        record = jax.tree.map(lambda h: h[state.records - 1], state.history)
+        values = {name: getattr(record, name) for name in vars(record)}
+        count = state.iterations + state.polish
+        jax.debug.callback(progress, {"iteration": count, **values})
+
     def body(state: SCPState) -> SCPState:
-        state = method.step(transcription, state)
+        after = method.step(transcription, state)
         if progress is not None:
-            record = jax.tree.map(lambda h: h[state.records - 1], state.history)
-            values = {name: getattr(record, name) for name in vars(record)}
-            jax.debug.callback(progress, {"iteration": state.iterations, **values})
-        return state
+            # The last look may find nothing left to do.
+            tried = after.records > state.records
+            jax.lax.cond(tried, report, lambda _: None, after)
+        return after
 
     state = jax.lax.while_loop(
         lambda state: ~method.terminate(transcription, state)[0],

@@ -99,10 +99,7 @@ def _or_stay(
 def _combined(
     first: Array, better: Array, latest: SubproblemSolution, before: SubproblemSolution
 ) -> SubproblemSolution:
-    """The better step with the multipliers of the uncorrected subproblem.
-
-    Penalty weights and the convergence test speak of that one. Efforts add up.
-    """
+    """The better step with its own multipliers; efforts add up."""
     kept = tree_where(better, latest, before)
     total = latest.effort.after(before.effort)
     effort = tree_where(first, latest.effort, total)

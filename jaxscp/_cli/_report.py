@@ -25,6 +25,8 @@ def as_json(
     """What `--json` writes; numbers that are not finite become null.
 
     `defect_max` is relative to the states' scales. `position_error` [m] and
+    `optimality` is the scaled residual of the optimality conditions, and `polished`
+    whether it is within the tolerance.
     `violations` come from the verification: intervals flown again from their nodes, and
     limits checked between the nodes too.
     """
@@ -44,7 +46,10 @@ def as_json(
             name: {"value": worst.value, "unit": worst.unit, "time": worst.time}
             for name, worst in verification.violations.items()
         },
+        "polished": bool(solution.polished),
+        "optimality": float(solution.optimality),
         "iterations": int(solution.statistics.iterations),
+        "polish_iterations": int(solution.statistics.polish_iterations),
         "subproblems": int(solution.statistics.subproblems),
         "seconds": seconds,
         "versions": {
@@ -71,7 +76,9 @@ def table(
         "data": _data(mission, verification),
         "position error": f"{position_error(verification):.2e} m in the worst interval",
         "verified": "yes" if verification.verified else "no",
-        "effort": f"{int(statistics.iterations)} iterations, "
+        "optimality": f"{float(solution.optimality):.1e}, the scaled residual",
+        "effort": f"{int(statistics.iterations)} iterations and "
+        f"{int(statistics.polish_iterations)} to polish, "
         f"{int(statistics.subproblems)} subproblems",
         "seconds": ", ".join(f"{name} {spent:.2f}" for name, spent in seconds.items()),
     }
