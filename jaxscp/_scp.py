@@ -80,6 +80,7 @@ def run(
     """Iterate until the method terminates, in one compiled loop."""
 
     def report(state: SCPState) -> None:
+        assert progress is not None
         record = jax.tree.map(lambda h: h[state.records - 1], state.history)
         values = {name: getattr(record, name) for name in vars(record)}
         count = state.iterations + state.polish
