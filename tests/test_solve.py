@@ -334,7 +334,9 @@ def test_a_step_into_a_singularity_is_not_taken():
     solution = solve(cart(deceit=2.0, edges={"dynamics": -1e-3}))
     assert bool(solution.status == jaxscp.Status.trust_region_collapsed)
     count = int(solution.statistics.iterations)
-    assert np.isnan(solution.history.defect[:count]).all()
+    # Until the proximal term is heavier than the QP solver resolves.
+    assert count > 15
+    assert np.isnan(solution.history.defect[:15]).all()
     assert np.isneginf(solution.history.ratio[:count]).all()
     assert not np.any(solution.history.accepted[:count])
     assert np.isfinite(solution.trajectory.states).all()
