@@ -223,7 +223,7 @@ class ProximalSCP(AbstractSCP):
             integral=jnp.full_like(residuals.totals, ceiling),
             radius=jnp.zeros(()),
             # As exact as the way still to go deserves.
-            precision=jnp.clip(1e-4 * state.optimality, 1e-10, 1e-6),
+            precision=jnp.clip(1e-5 * state.optimality, 1e-10, 1e-7),
         )
         limits = step_limits(transcription, scaling, reference)
         structure = Structure.of(transcription)
