@@ -73,7 +73,7 @@ def convexified(
         taken = gain.T @ (gain / values[:, None])
         left = _symmetric(whole[np.ix_(kept, kept)] - taken)
         # Without a minimum along the controls the transfers would run away.
-        left = jax.lax.cond(jnp.all(convex), lambda left: left, _convex_part, left)
+        left = jax.lax.cond(jnp.all(convex), lambda left: left, convex_part, left)
         return left, (taken, cross, (vectors * values[None]) @ vectors.T, transfer)
 
     lent = jnp.diag(jnp.append(_LENT * fixed[-1], 0.0))
@@ -84,7 +84,7 @@ def convexified(
         reverse=True,
     )
     free = jnp.append(1.0 - fixed[0], 1.0)
-    first = _convex_part(first * jnp.outer(free, free))
+    first = convex_part(first * jnp.outer(free, free))
     mixed = cross[:, :, :n]
     blocks = jnp.zeros((nodes, last, last))
     blocks = blocks.at[:-1, :n, :n].set(taken[:, :n, :n]).at[0, :n, :n].add(first[:n, :n])
@@ -100,7 +100,7 @@ def _symmetric(matrix: Array) -> Array:
     return 0.5 * (matrix + matrix.mT)
 
 
-def _convex_part(matrix: Array) -> Array:
+def convex_part(matrix: Array) -> Array:
     """The matrices without their negative eigenvalues."""
     values, vectors = jnp.linalg.eigh(matrix)
     kept = vectors * jnp.maximum(values, 0.0)[..., None, :]

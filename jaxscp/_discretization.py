@@ -107,6 +107,20 @@ def integrand_rates(
     )
 
 
+def moment(
+    discretization: Discretization,
+    span: tuple[Scalar, Scalar],
+    fraction: Scalar,
+    left: Float[Array, " m"],
+    right: Float[Array, " m"],
+    final_time: Scalar,
+) -> tuple[Scalar, Float[Array, " m"]]:
+    """Time and control at a fraction of one interval."""
+    start, width = span
+    t = final_time * (start + width * fraction)
+    return t, discretization.hold.interpolate(left, right, fraction)
+
+
 def propagate(
     problem: OptimalControlProblem,
     discretization: Discretization,
@@ -196,13 +210,11 @@ def flow_within(
 
 def _flow(problem, discretization, substeps, span, x, left, right, final_time, reach=1.0):
     """State, and integrals under `FLOW`, at the end of one interval (classical RK4)."""
-    start, width = span
     size = problem.state_size
     along_flow = discretization.quadrature is Quadrature.FLOW
 
     def rate(fraction, y):
-        u = discretization.hold.interpolate(left, right, fraction)
-        t = final_time * (start + width * fraction)
+        t, u = moment(discretization, span, fraction, left, right, final_time)
         x = y[:size]
         dynamics = problem.dynamics(t, x, u)
         if not along_flow:
@@ -210,7 +222,7 @@ def _flow(problem, discretization, substeps, span, x, left, right, final_time, r
         return jnp.concatenate([dynamics, integrand_rates(problem, t, x, u)])
 
     step = reach / substeps
-    seconds = final_time * width * step
+    seconds = final_time * span[1] * step
     nodes, weights = jnp.asarray(RK4_NODES), jnp.asarray(RK4_WEIGHTS)
 
     def stage(index, carry):

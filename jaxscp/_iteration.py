@@ -161,7 +161,7 @@ def advance(
     radius: Scalar,
     stationary: Array,
     iterations: Array,
-    polish: Array | None = None,
+    polish: Array,
 ) -> SCPState:
     """Take the step if it was accepted, and write it down either way.
 
@@ -203,7 +203,7 @@ def advance(
         history=history,
         records=state.records + 1,
         iterations=iterations,
-        polish=state.polish if polish is None else polish,
+        polish=polish,
         subproblems=state.subproblems + effort.solves,
         qp_iterations=state.qp_iterations + effort.iterations,
         qp_seconds=state.qp_seconds + effort.seconds,

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._convexification import Curvature, convexified
+from ._convexification import Curvature, convex_part, convexified
 from ._lagrangian import lagrangian_hessian, nodal_curvature
 from ._scaling import Scaling
 from ._transcription import Derivatives, Residuals, Transcription, Variables, held
@@ -152,11 +152,10 @@ def convex_model(
     - `residuals`, `derivatives`: scaled, at `point`.
     - `multipliers`: scaled; those of the dynamics do not count.
     """
-    rates, path = _physical(scaling, multipliers)
-    blocks = nodal_curvature(transcription, point, rates, path)
-    values, vectors = jnp.linalg.eigh(scaling.curvature(blocks))
-    kept = jnp.maximum(values, 0.0)
-    hessian = jnp.einsum("kij,kj,klj->kil", vectors, kept, vectors)
+    weights = physical_multipliers(scaling, multipliers)
+    rates = jnp.append(weights.integral, 1.0)
+    blocks = nodal_curvature(transcription, point, rates, weights.path)
+    hessian = convex_part(scaling.curvature(blocks))
     flat = Curvature(hessian, jnp.zeros(hessian.shape[:2]), jnp.zeros(()))
     size, intervals = point.states.shape[1] + 1, point.states.shape[0] - 1
     return Model(
@@ -187,9 +186,11 @@ def second_order_model(
     - `damping`: of the scaled step. `holding`: of the path constraints. Both are part
         of the curvature.
     """
-    rates, path = _physical(scaling, multipliers)
-    costates = multipliers.dynamics * scaling.objective / scaling.state[None]
-    exact = lagrangian_hessian(transcription, point, substeps, costates, rates, path)
+    weights = physical_multipliers(scaling, multipliers)
+    rates = jnp.append(weights.integral, 1.0)
+    exact = lagrangian_hessian(
+        transcription, point, substeps, weights.dynamics, rates, weights.path
+    )
     nodes, at_nodes = exact.shape[0], derivatives.nodes
     slopes = jnp.concatenate(
         [at_nodes.path_state, at_nodes.path_control, at_nodes.path_time[:, :, None]],
@@ -213,11 +214,13 @@ def second_order_model(
     return Model(residuals, derivatives, curvature, damping, holding, transfers)
 
 
-def _physical(scaling: Scaling, multipliers: PerConstraint) -> tuple[Array, Array]:
-    """Weights of the integrands, the cost's last, and of the path constraints."""
-    rates = multipliers.integral * scaling.objective / scaling.integral
-    path = multipliers.path * scaling.objective / scaling.path[None]
-    return jnp.append(rates, 1.0), path
+def physical_multipliers(scaling: Scaling, scaled: PerConstraint) -> PerConstraint:
+    """In units of the objective: a scaled one is objective scale per constraint scale."""
+    return PerConstraint(
+        dynamics=scaled.dynamics * scaling.objective / scaling.state[None],
+        path=scaled.path * scaling.objective / scaling.path[None],
+        integral=scaled.integral * scaling.objective / scaling.integral,
+    )
 
 
 def integral_limits(

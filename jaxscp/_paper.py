@@ -115,6 +115,7 @@ class PaperSCP(AbstractSCP):
             radius=radius,
             stationary=predicted <= self.tolerance,
             iterations=state.iterations + judgement.accepted,
+            polish=state.polish,
         )
 
     def _weights(self, transcription: Transcription, state: SCPState) -> PerConstraint:

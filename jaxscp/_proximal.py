@@ -74,9 +74,8 @@ class ProximalSCP(AbstractSCP):
     weight_factor: float = eqx.field(static=True, default=3.0)
     # Promised reduction below which remaining violations are there to stay.
     min_progress: float = eqx.field(static=True, default=1e-4)
-    # Residual below which Newton's method needs no merit function, and the least weight.
+    # Residual below which Newton's method needs no merit function.
     near: float = eqx.field(static=True, default=1e-4)
-    min_weight: float = eqx.field(static=True, default=1e-6)
     min_radius: float = eqx.field(static=True, default=1e-12)
     max_radius: float = eqx.field(static=True, default=1e6)
     max_failures: int = eqx.field(static=True, default=5)
@@ -110,8 +109,9 @@ class ProximalSCP(AbstractSCP):
         # Levenberg and Marquardt: a weight that vanishes with the residual converges
         # fast, and does not stray along directions the cost hardly sees. Three holds
         # such steps, as of a quadrotor's yaw, to a third of the range.
-        weight = jnp.maximum(3.0 * transcription.nodes * gap.residual, self.min_weight)
-        radius = jnp.where(near & ~refused, 1.0 / weight, state.radius)
+        polishing = 1.0 / (3.0 * transcription.nodes * gap.residual)
+        polishing = jnp.minimum(polishing, self.max_radius)
+        radius = jnp.where(near & ~refused, polishing, state.radius)
         state = dataclasses.replace(
             state,
             iterate=iterate,

@@ -7,7 +7,13 @@ first. Its cost is a few times that of the first derivatives, whatever their num
 import jax
 import jax.numpy as jnp
 
-from ._discretization import RK4_NODES, RK4_WEIGHTS, Discretization, integrand_rates
+from ._discretization import (
+    RK4_NODES,
+    RK4_WEIGHTS,
+    Discretization,
+    integrand_rates,
+    moment,
+)
 from ._problem import OptimalControlProblem
 from ._types import Array, Float, Scalar
 
@@ -71,18 +77,16 @@ def flow_hessian(
 
 def _one_step(problem, discretization, substeps, index, span, u, v):
     """State and growth of the integrals after one Runge-Kutta step."""
-    start, width = span
     x, final_time = v[: problem.state_size], v[-1]
     step = 1.0 / substeps
-    seconds = final_time * width * step
-    control = discretization.hold.interpolate
+    seconds = final_time * span[1] * step
 
     def stage(carry, coefficients):
         slope, change, growth = carry
         node, weight = coefficients
         fraction = (index + node) * step
-        t = final_time * (start + width * fraction)
-        place, held = x + node * seconds * slope, control(u, u, fraction)
+        t, held = moment(discretization, span, fraction, u, u, final_time)
+        place = x + node * seconds * slope
         slope = problem.dynamics(t, place, held)
         rates = integrand_rates(problem, t, place, held)
         return (slope, change + weight * slope, growth + weight * rates), None

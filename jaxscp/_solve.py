@@ -11,7 +11,7 @@ import numpy as np
 
 from ._diagnosis import Violations
 from ._discretization import Discretization
-from ._model import integral_limits, violations
+from ._model import integral_limits, physical_multipliers, violations
 from ._packed import Packed
 from ._problem import OptimalControlProblem
 from ._proximal import ProximalSCP
@@ -165,17 +165,17 @@ def _solution(transcription: Transcription, state: SCPState, status: Status) -> 
 
 
 def _multipliers(transcription: Transcription, state: SCPState) -> Multipliers:
-    """A scaled multiplier is objective scale per constraint scale."""
+    """All multipliers, in physical units."""
     scaling, solution = state.scaling, state.solution
-    scaled, size = solution.multipliers, scaling.objective
-    integral = scaled.integral * size / scaling.integral
+    size, names = scaling.objective, transcription.problem.integrals
+    physical = physical_multipliers(scaling, solution.multipliers)
     missing = transcription.nodes - transcription.control_nodes
     control: Float[Array, "N m"] = jnp.pad(solution.control, ((0, missing), (0, 0)))
     return Multipliers(
         # A defect is the next node minus the flow: pushing the flow is its negative.
-        dynamics=-scaled.dynamics * size / scaling.state[None],
-        path_constraints=_named(transcription, scaled.path * size / scaling.path[None]),
-        integrals=dict(zip(transcription.problem.integrals, integral, strict=True)),
+        dynamics=-physical.dynamics,
+        path_constraints=_named(transcription, physical.path),
+        integrals=dict(zip(names, physical.integral, strict=True)),
         state=solution.state * size / scaling.state[None],
         control=control * size / scaling.control[None],
         final_time=solution.final_time * size / scaling.time,

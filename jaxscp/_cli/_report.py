@@ -25,10 +25,9 @@ def as_json(
     """What `--json` writes; numbers that are not finite become null.
 
     `defect_max` is relative to the states' scales. `position_error` [m] and
-    `optimality` is the scaled residual of the optimality conditions, and `polished`
-    whether it is within the tolerance.
     `violations` come from the verification: intervals flown again from their nodes, and
-    limits checked between the nodes too.
+    limits checked between the nodes too. `optimality` is the scaled residual of the
+    optimality conditions, and `polished` whether it is within the tolerance.
     """
     required = mission.data_required
     report = {
