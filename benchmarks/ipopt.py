@@ -7,15 +7,15 @@ again in CasADi. Needs the `bench` extra.
 """
 
 import argparse
-import statistics
 import time
 
 import casadi as ca
 import jax
 import numpy as np
 
-import jaxscp
 from jaxscp import missions
+
+from .timing import timed_solve
 
 MISSIONS = ("free-flight", "free-space-30MB-60dB")
 
@@ -131,12 +131,8 @@ def measure(name: str, nodes: int, repeats: int) -> None:
     """Print one row for each solver."""
     mission = missions.get(name)
     problem, guess = mission.problem(), mission.guess(nodes)
-    seconds = []
-    for _ in range(repeats + 1):
-        begun = time.perf_counter()
-        solution = jaxscp.solve(problem, guess, throw=False)
-        seconds.append(time.perf_counter() - begun)
-    statistic, ours = solution.statistics, statistics.median(seconds[1:])
+    solution, _, ours = timed_solve(problem, guess, repeats)
+    statistic = solution.statistics
     count = int(statistic.iterations + statistic.polish_iterations)
     print(
         f"| {name} | jaxscp | {float(solution.objective):,.2f} | {count} | {ours:.2f} |"

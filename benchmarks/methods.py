@@ -5,13 +5,13 @@ so that the times may be compared.
 """
 
 import argparse
-import statistics
-import time
 
 import jax
 
 import jaxscp
 from jaxscp import missions
+
+from .timing import timed_solve
 
 VARIANTS = {
     "default": jaxscp.ProximalSCP(),
@@ -28,17 +28,13 @@ def measure(mission: str, method: jaxscp.AbstractSCP, nodes: int, repeats: int) 
     """One row of the table, in Markdown."""
     chosen = missions.get(mission)
     problem, guess = chosen.problem(), chosen.guess(nodes)
-    seconds = []
-    for _ in range(repeats + 1):
-        begun = time.perf_counter()
-        solution = jaxscp.solve(problem, guess, method, throw=False)
-        seconds.append(time.perf_counter() - begun)
+    solution, _, warm = timed_solve(problem, guess, repeats, method)
     statistic = solution.statistics
     converged = "yes" if bool(solution.converged) else "no"
     return (
         f" {float(solution.objective):,.2f} | {int(statistic.iterations)}"
         f" + {int(statistic.polish_iterations)} | {int(statistic.subproblems)}"
-        f" | {float(solution.optimality):.0e} | {statistics.median(seconds[1:]):.2f}"
+        f" | {float(solution.optimality):.0e} | {warm:.2f}"
         f" | {converged} |"
     )
 

@@ -7,8 +7,6 @@ guess's place: the same. Accuracy stands beside time.
 import argparse
 import json
 import platform
-import statistics
-import time
 from importlib.metadata import version
 from pathlib import Path
 
@@ -16,6 +14,8 @@ import jax
 
 import jaxscp
 from jaxscp import missions
+
+from .timing import timed_solve
 
 # Objective [N^2 s] that IPOPT (tolerance 1e-8) reached on the same discrete problem:
 # 100 nodes, zero-order hold, integrals along the flow, limits at the nodes.
@@ -31,14 +31,7 @@ def measure(name: str, nodes: int, repeats: int) -> dict:
     """Solve one mission cold and warm; seconds are wall-clock."""
     mission = missions.get(name)
     problem, guess = mission.problem(), mission.guess(nodes)
-    begun = time.perf_counter()
-    solution = jaxscp.solve(problem, guess, throw=False)
-    cold = time.perf_counter() - begun
-    warm = []
-    for _ in range(repeats):
-        begun = time.perf_counter()
-        jax.block_until_ready(jaxscp.solve(problem, guess, throw=False))
-        warm.append(time.perf_counter() - begun)
+    solution, cold, warm = timed_solve(problem, guess, repeats)
     statistic = solution.statistics
     best = BEST_KNOWN.get(name)
     objective = float(solution.objective)
@@ -55,7 +48,7 @@ def measure(name: str, nodes: int, repeats: int) -> dict:
         "polish_iterations": int(statistic.polish_iterations),
         "subproblems": int(statistic.subproblems),
         "cold_seconds": cold,
-        "warm_seconds": statistics.median(warm),
+        "warm_seconds": warm,
         "piqp_seconds": float(statistic.qp_seconds),
     }
 
