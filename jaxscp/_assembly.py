@@ -8,9 +8,10 @@ positions in place of their values.
 import functools
 import threading
 
+import jax
 import numpy as np
 
-from ._discretization import Jacobian
+from ._intervals import Jacobian
 from ._layout import Entries, Layout, Structure
 from ._qp import PIQP, QP, QPSolution, Workspace
 from ._subproblem_data import Limits, Outline, Prices, SubproblemData
@@ -30,6 +31,7 @@ class SubproblemSolver:
     def __init__(self, structure: Structure, settings: PIQP, outline: Outline):
         self.layout = Layout(structure)
         self._relaxed = structure.relaxed
+        self._between = (structure.nodes - 1) * structure.parts * structure.watch.size
         # Virtual variables make the stages too wide to factorize by stages.
         wide = structure.relaxed or structure.ball
         self._workspace = Workspace(settings, multistage=not wide)
@@ -45,6 +47,7 @@ class SubproblemSolver:
         self._signs = np.sign(shift[self._varying])
         self._places = np.abs(shift[self._varying]).astype(int) - 1
         self._precision = int(numbered.prices.precision) - 1
+        self._relax = int(numbered.prices.relax) - 1
         # Threads may solve problems of the same structure.
         self._lock = threading.Lock()
 
@@ -53,6 +56,10 @@ class SubproblemSolver:
         with self._lock:
             solution = self._workspace.solve(self.assemble(flat), flat[self._precision])
         return solution, np.array([1.0, solution.iterations, solution.seconds])
+
+    def may_relax(self, flat: np.ndarray) -> bool:
+        """Whether the relaxed structure may be solved where this one fails."""
+        return bool(flat[self._relax] > 0)
 
     def assemble(self, flat: np.ndarray) -> QP:
         """The QP whose solution is the best step; the same object every time."""
@@ -83,7 +90,7 @@ class SubproblemSolver:
                 z[layout.controls].ravel(),
                 z[[layout.time]],
                 y[: (nodes - 1) * n],
-                solution.w[: layout.buffers.size],
+                solution.w[: layout.buffers.size + self._between],
                 totals,
                 states.ravel(),
                 controls.ravel(),
@@ -105,7 +112,7 @@ def _assembled(layout: Layout, structure: Structure, data: SubproblemData) -> QP
             *_fixed(A, layout, data.limits),
         ]
     )
-    h = [*_path(G, layout, data)]
+    h = [*_path(G, layout, data), *_between(G, layout, structure, data)]
     if structure.ball:
         h += _ball(G, layout, data.prices)
     c = _cost(P, layout, data, relaxed=structure.relaxed)
@@ -121,7 +128,7 @@ def _dynamics(A: Entries, layout: Layout, data: SubproblemData, *, relaxed: bool
     defects = data.residuals.defects
     rows = A.new_rows(*defects.shape)
     A.add(rows, layout.states[1:], 1.0)
-    _subtract(A, rows, layout, data.derivatives.intervals.next_state, slice(None))
+    _subtract(A, rows, layout, data.derivatives.intervals.next_state)
     if relaxed:
         A.add(rows, layout.virtual[0], 1.0)
         A.add(rows, layout.virtual[1], -1.0)
@@ -135,25 +142,29 @@ def _totals(A: Entries, layout: Layout, data: SubproblemData):
     if rows.size:
         A.add(rows, layout.totals[1:], 1.0)
         A.add(rows[1:], layout.totals[1:-1], -1.0)
-        part = slice(None, -1)
-        _subtract(A, rows, layout, data.derivatives.intervals.increments, part)
+        _subtract(A, rows, layout, data.derivatives.intervals.increments[:-1])
         A.add(rows[-1], layout.integral_buffers[0], -1.0)
         A.add(rows[-1], layout.integral_buffers[1], 1.0)
     yield growth.ravel()
 
 
-def _subtract(A: Entries, rows, layout: Layout, jacobian: Jacobian, part: slice):
+def _subtract(A: Entries, rows, layout: Layout, jacobian: Jacobian):
     """What an interval's quantities, one row each, owe to its ends."""
+    _add(A, rows, layout, jax.tree.map(np.negative, jacobian))
+
+
+def _add(A: Entries, rows, layout: Layout, jacobian: Jacobian):
+    """An interval's quantities, one row each."""
     rows = rows[:, :, None]
     intervals = rows.shape[0]
     states, controls = layout.states[:, None, :], layout.controls[:, None, :]
-    A.add(rows, states[:-1], -jacobian.left_state[:, part])
-    A.add(rows, controls[:intervals], -jacobian.left_control[:, part])
+    A.add(rows, states[:-1], jacobian.left_state)
+    A.add(rows, controls[:intervals], jacobian.left_control)
     if jacobian.right_state is not None:
-        A.add(rows, states[1:], -jacobian.right_state[:, part])
+        A.add(rows, states[1:], jacobian.right_state)
     if jacobian.right_control is not None:
-        A.add(rows, controls[1:], -jacobian.right_control[:, part])
-    A.add(rows[:, :, 0], layout.time, -jacobian.time[:, part])
+        A.add(rows, controls[1:], jacobian.right_control)
+    A.add(rows[:, :, 0], layout.time, jacobian.time)
 
 
 def _fixed(A: Entries, layout: Layout, limits: Limits):
@@ -179,13 +190,31 @@ def _path(G: Entries, layout: Layout, data: SubproblemData):
     rows = G.new_rows(*path.shape)
     if rows.size:
         # Where a node has no control of its own, the last one is held to it.
-        last = layout.controls.shape[0] - 1
-        controls = layout.controls[np.minimum(np.arange(rows.shape[0]), last)]
         G.add(rows[:, :, None], layout.states[:, None, :], nodes.path_state)
-        G.add(rows[:, :, None], controls[:, None, :], nodes.path_control)
+        G.add(rows[:, :, None], _held(layout)[:, None, :], nodes.path_control)
         G.add(rows, layout.time, nodes.path_time)
         G.add(rows, layout.buffers, -1.0)
     yield -path.ravel()
+
+
+def _held(layout: Layout) -> np.ndarray:
+    """The control of each node; one that has none of its own borrows the last."""
+    nodes, free = layout.states.shape[0], layout.controls.shape[0]
+    return layout.controls[np.minimum(np.arange(nodes), free - 1)]
+
+
+def _between(G: Entries, layout: Layout, structure: Structure, data: SubproblemData):
+    """Linearized peaks between the nodes, less their buffers."""
+    peaks, watch = data.residuals.between, structure.watch
+    rows = G.new_rows(*peaks.shape)
+    if rows.size:
+        _add(G, rows, layout, data.derivatives.intervals.between)
+        by_part = rows.reshape(rows.shape[0], structure.parts, watch.size)
+        limits, path = np.split(by_part, [watch.limits], axis=2)
+        G.add(path, layout.buffers[:-1, None, :], -1.0)
+        if structure.relaxed:
+            G.add(limits, layout.limit_buffers[:, None, :], -1.0)
+    yield -peaks.ravel()
 
 
 def _ball(G: Entries, layout: Layout, prices: Prices):
@@ -208,11 +237,10 @@ def _ball(G: Entries, layout: Layout, prices: Prices):
 
 
 def _cost(P: Entries, layout: Layout, data: SubproblemData, *, relaxed: bool):
-    """The model's cost, the proximal term and the prices of virtual variables."""
-    nodes, n = layout.states.shape
-    free, m = layout.controls.shape
-    prices, gradient = data.prices, data.gradient
-    blocks, border = data.curvature.blocks, data.curvature.border
+    """The model's cost, the damping and the prices of virtual variables."""
+    n, (free, m) = layout.states.shape[1], layout.controls.shape
+    prices, gradient, curvature = data.prices, data.gradient, data.curvature
+    blocks, border = curvature.blocks, curvature.border
     up, across = np.triu_indices(n + m)
     both = np.concatenate([layout.states[:free], layout.controls], axis=1)
     P.add(both[:, up], both[:, across], blocks[:free, up, across])
@@ -221,14 +249,22 @@ def _cost(P: Entries, layout: Layout, data: SubproblemData, *, relaxed: bool):
     P.add(only[:, up], only[:, across], blocks[free:, up, across])
     P.add(both, layout.time, border[:free])
     P.add(only, layout.time, border[free:, :n])
-    P.add(layout.time, layout.time, data.curvature.corner)
+    P.add(layout.time, layout.time, curvature.corner)
+    P.add(layout.totals[-1], layout.totals[-1], data.of_totals[0])
+    if curvature.ahead is not None:
+        ahead = layout.controls[1:, None, :]
+        P.add(both[:-1, :, None], ahead, curvature.ahead)
+    if curvature.tail is not None:
+        P.add(layout.controls[-1][:, None], layout.states[-1], curvature.tail)
 
     c = np.zeros(layout.columns)
     c[layout.states], c[layout.controls] = gradient.states, gradient.controls
     c[layout.time] = gradient.final_time
+    c[layout.totals[-1]] = data.of_totals[1]
     c[layout.buffers], c[layout.integral_buffers] = prices.path, prices.integral
     if relaxed:
         c[layout.virtual] = prices.virtual_control
+        c[layout.limit_buffers] = prices.limit
     return c
 
 
@@ -242,7 +278,7 @@ def _box(layout: Layout, limits: Limits, *, relaxed: bool):
     for columns in (layout.buffers, layout.integral_buffers):
         lower[columns] = 0.0
     if relaxed:
-        lower[layout.virtual] = 0.0
+        lower[layout.virtual] = lower[layout.limit_buffers] = 0.0
     if layout.time_norm >= 0:
         # Also where there is nothing to bound: a node without a control of its own.
         lower[layout.norms] = lower[layout.time_norm] = 0.0

@@ -10,9 +10,9 @@ from ._types import Array, ArrayLike, Float, is_concrete
 class Bounds(eqx.Module):
     """Lower and upper limits, entry by entry.
 
-    Equal ends mean fixed, infinite ends mean free. Which entries are fixed is part of
-    the problem's structure (`fixed` is static: changing it compiles anew); the values
-    are data, differentiable, and may change without compiling anything.
+    Equal ends mean fixed, infinite ends mean free. Which entries are fixed and which
+    have a limit at all is part of the problem's structure (static: changing it compiles
+    anew); the values are data, differentiable, and may change without compiling anything.
 
     **Arguments:**
 
@@ -23,6 +23,8 @@ class Bounds(eqx.Module):
     - `fixed`: which entries are equalities. Found from the values by default; needed
         only if bounds are made from traced values inside `jax.jit` or `jax.grad`, where
         [`Bounds.exactly`][] is the simpler way.
+    - `limited`: which entries have a finite lower and which a finite upper limit, found
+        likewise; of traced values every entry counts as limited.
 
     **Raises:** `ValueError` if a limit is NaN or a lower limit exceeds its upper one.
     """
@@ -31,6 +33,7 @@ class Bounds(eqx.Module):
     upper: Float[Array, "*shape"]
     scale: Float[Array, "*shape"] | None
     fixed: tuple[bool, ...] = eqx.field(static=True)
+    limited: tuple[tuple[bool, ...], tuple[bool, ...]] = eqx.field(static=True)
 
     def __init__(
         self,
@@ -39,6 +42,7 @@ class Bounds(eqx.Module):
         *,
         scale: ArrayLike | None = None,
         fixed: tuple[bool, ...] | None = None,
+        limited: tuple[tuple[bool, ...], tuple[bool, ...]] | None = None,
     ):
         same = lower is upper
         low, high = jnp.broadcast_arrays(_inexact(lower), _inexact(upper))
@@ -54,6 +58,8 @@ class Bounds(eqx.Module):
             self.fixed = tuple(bool(entry) for entry in equal.ravel())
         else:
             self.fixed = (same,) * low.size
+        found = tuple(_finite(limit) for limit in (low, high))
+        self.limited = (found[0], found[1]) if limited is None else limited
 
     def __check_init__(self):
         if not is_concrete(self.lower, self.upper):
@@ -132,6 +138,12 @@ class Bounds(eqx.Module):
 def _inexact(value: ArrayLike) -> Array:
     # A weakly typed array, as of a Python number, would compile anew.
     return jnp.asarray(value, float)
+
+
+def _finite(limit: Array) -> tuple[bool, ...]:
+    if not is_concrete(limit):
+        return (True,) * limit.size
+    return tuple(bool(entry) for entry in np.isfinite(np.asarray(limit)).ravel())
 
 
 def _largest(values: ArrayLike) -> tuple[int, ...]:

@@ -6,14 +6,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._discretization import Discretization
-from ._model import (
-    PerConstraint,
+from ._constraints import (
     integral_limits,
     largest_buffer,
     penalized_cost,
     violations,
 )
+from ._discretization import Discretization
+from ._per_constraint import PerConstraint
 from ._scaling import Scaling, automatic_scaling
 from ._state import History, Iterate, Judgement, SCPState, Trial
 from ._subproblem import SubproblemSolution
@@ -44,8 +44,12 @@ def linearized(
     return jax.lax.cond(iterate.fresh, lambda: iterate, renew)
 
 
-def is_finite(tree) -> Array:
-    """Whether every number of a tree is finite."""
+def is_finite(iterate: Iterate) -> Array:
+    """Whether every value and derivative at a point is finite."""
+    # Where there is no limit, its peak is infinitely low.
+    peaks = iterate.residuals.between
+    peaks = jnp.where(jnp.isneginf(peaks), 0.0, peaks)
+    tree = eqx.tree_at(lambda at: at.residuals.between, iterate, peaks)
     leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_inexact_array))
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
 
@@ -60,7 +64,7 @@ def start(
     records: int,
 ) -> SCPState:
     """The state before the first subproblem."""
-    substeps = jnp.asarray(transcription.discretization.min_substeps)
+    substeps = jnp.asarray(transcription.discretization.least_substeps)
     # The first step linearizes; until then there is only the room for it.
     residuals, derivatives = jax.tree.map(
         lambda leaf: jnp.zeros(leaf.shape),
@@ -133,7 +137,7 @@ def _needed_substeps(settings: Discretization, substeps: Array, error: Scalar) -
     factor = jnp.where(error > settings.tolerance, jnp.maximum(factor, 1.0), factor)
     factor = jnp.clip(factor, 1.0 / _MOST_GROWTH, _MOST_GROWTH)
     wanted = jnp.ceil(substeps * factor).astype(substeps.dtype)
-    return jnp.clip(wanted, settings.min_substeps, settings.max_substeps)
+    return jnp.clip(wanted, settings.least_substeps, settings.max_substeps)
 
 
 def judge(

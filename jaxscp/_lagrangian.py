@@ -3,41 +3,53 @@
 import jax
 import jax.numpy as jnp
 
-from ._discretization import integrand_rates
-from ._second_order import flow_hessian
+from ._curvature import Curvature
+from ._flow import Span
+from ._per_constraint import PerConstraint
+from ._second_order import interval_hessian
 from ._transcription import Transcription, Variables
 from ._types import Array, Float
 
 
-def nodal_curvature(
+def node_shares(
     transcription: Transcription,
-    variables: Variables,
-    rate_weights: Float[Array, " r"],
-    path_weights: Float[Array, "N p"],
-) -> Float[Array, "N w w"]:
+) -> tuple[Float[Array, " N"], Float[Array, " N"]]:
+    """The share of the flight each node's state stands for, and each node's control."""
+    _, widths = transcription.grid
+    none = jnp.zeros(1)
+    of_state = 0.5 * (jnp.append(widths, none) + jnp.append(none, widths))
+    # A held control acts on the interval behind its node only.
+    held = jnp.append(widths, none)
+    return of_state, held if transcription.borrows_control else of_state
+
+
+def rate_weights(multipliers: PerConstraint) -> Float[Array, " r"]:
+    """What the Lagrangian weighs the integrals and the running cost with."""
+    return jnp.append(multipliers.integral, 1.0)
+
+
+def nodal_curvature(
+    transcription: Transcription, variables: Variables, multipliers: PerConstraint
+) -> Curvature:
     """Hessian of the weighted integrands and path constraints, node by node.
 
     The second derivative of the Lagrangian but for the dynamics' part: integrands
-    count with the time their node stands for, path constraints once.
+    count with the time their node stands for, path constraints once, those between the
+    nodes at the node before.
     """
-    _, widths = transcription.grid
-    none = jnp.zeros(1)
-    state_share = 0.5 * (jnp.append(widths, none) + jnp.append(none, widths))
-    # A held control acts on the interval behind its node only.
-    held_control = transcription.control_nodes < transcription.nodes
-    control_share = jnp.append(widths, none) if held_control else state_share
-    final_time = variables.final_time
-    size = transcription.problem.state_size
+    problem, final_time = transcription.problem, variables.final_time
+    size = problem.state_size
+    weights_of_rates = rate_weights(multipliers)
+    weights = multipliers.path.at[:-1].add(_of_path(transcription, multipliers.between))
 
     def block(fraction, x, u, of_state, of_control, weights):
         t = final_time * fraction
 
         def rates(z):
-            values = integrand_rates(transcription.problem, t, z[:size], z[size:])
-            return rate_weights @ values
+            return weights_of_rates @ problem.rates(t, z[:size], z[size:])
 
         def path(z):
-            return weights @ transcription.path(t, z[:size], z[size:])
+            return weights @ problem.path(t, z[:size], z[size:])
 
         z = jnp.concatenate([x, u])
         share = jnp.concatenate(
@@ -54,78 +66,97 @@ def nodal_curvature(
         transcription.fractions,
         variables.states,
         transcription.nodal_controls(variables),
-        state_share,
-        control_share,
-        path_weights,
+        *node_shares(transcription),
+        weights,
     )
-    terminal = jax.hessian(transcription.problem.terminal_cost, argnums=1)(
+    terminal = jax.hessian(problem.terminal_cost, argnums=1)(
         final_time, variables.states[-1]
     )
-    blocks = blocks.at[-1, :size, :size].add(rate_weights[-1] * terminal)
-    if not held_control:
-        return blocks
-    # The last node has no control of its own.
-    return blocks.at[-1, size:].set(0.0).at[-1, :, size:].set(0.0)
+    blocks = blocks.at[-1, :size, :size].add(terminal)
+    borrows = transcription.borrows_control
+    if borrows:
+        blocks = blocks.at[-1, size:].set(0.0).at[-1, :, size:].set(0.0)
+    two_sided = transcription.discretization.holds_right
+    return Curvature.of_nodes(blocks, size, two_sided=two_sided, borrows=borrows)
+
+
+def _of_path(
+    transcription: Transcription, between: Float[Array, "I b"]
+) -> Float[Array, "I p"]:
+    """Multipliers of each path constraint, all parts of an interval together."""
+    watch, parts = transcription.watch, transcription.discretization.between
+    by_part = between.reshape(between.shape[0], parts, watch.size if parts else 0)
+    return jnp.sum(by_part[:, :, watch.limits :], axis=1) if parts else 0.0
 
 
 def lagrangian_hessian(
     transcription: Transcription,
     variables: Variables,
     substeps: Array | int,
-    costates: Float[Array, "I n"],
-    rate_weights: Float[Array, " r"],
-    path_weights: Float[Array, "N p"],
-) -> Float[Array, "N v v"]:
-    """Hessian of the Lagrangian, exact, by (x, u, flight time) of each node.
-
-    **Arguments:**
-
-    - `costates`: multipliers of the defects.
-    - `rate_weights`: of the integrals and the cost. `path_weights`: of the path
-        constraints.
-    """
-    size, final_time = transcription.problem.state_size, variables.final_time
-    # A defect is the next node minus the flow's end.
-    weights = jnp.concatenate(
-        [
-            -costates,
-            jnp.broadcast_to(
-                rate_weights, (transcription.nodes - 1, *rate_weights.shape)
-            ),
-        ],
-        axis=1,
+    multipliers: PerConstraint,
+) -> Curvature:
+    """Hessian of the Lagrangian, exact."""
+    return Curvature.assembled(
+        _node_blocks(transcription, variables, multipliers),
+        _interval_blocks(transcription, variables, substeps, multipliers),
+        transcription.problem.state_size,
+        borrows=transcription.borrows_control,
     )
-    flow = jax.vmap(
-        lambda span, x, u, weights: flow_hessian(
-            transcription.problem,
-            transcription.discretization,
-            substeps,
-            span,
-            x,
-            u,
-            final_time,
-            weights,
-        )
-    )(transcription.grid, variables.states[:-1], variables.controls, weights)
 
-    def at_node(fraction, x, u, weights):
-        def path(v):
-            return weights @ transcription.path(v[-1] * fraction, v[:size], v[size:-1])
 
-        return jax.hessian(path)(jnp.concatenate([x, u, final_time[None]]))
+def _interval_blocks(transcription, variables, substeps, multipliers) -> Array:
+    flow = transcription.flow(substeps)
+    controls = transcription.nodal_controls(variables)
+    intervals = transcription.nodes - 1
+    # A defect is the next node minus the flow's end.
+    weights = -multipliers.dynamics
+    if flow.gathers:
+        rates = rate_weights(multipliers)
+        rates = jnp.broadcast_to(rates, (intervals, rates.size))
+        weights = jnp.concatenate([weights, rates], axis=1)
+    parts = transcription.discretization.between
+    pushes = multipliers.between.reshape(intervals, parts, -1 if parts else 0)
+
+    def block(start, width, x, left, right, weights, pushes):
+        span = Span(start, width, left, right, variables.final_time)
+        return interval_hessian(flow, span, x, weights, pushes)
+
+    return jax.vmap(block)(
+        *transcription.grid,
+        variables.states[:-1],
+        controls[:-1],
+        controls[1:],
+        weights,
+        pushes,
+    )
+
+
+def _node_blocks(transcription, variables, multipliers) -> Array:
+    """By (x, u, flight time) of each node: path constraints, costs and, by the trapezoid
+    rule, integrals."""
+    problem, final_time = transcription.problem, variables.final_time
+    n = problem.state_size
+    gathers = transcription.flow(1).gathers
+    shares, _ = node_shares(transcription)
+    rates = rate_weights(multipliers)
+
+    def of_node(fraction, share, x, u, weights):
+        def total(v):
+            t, x, u = v[-1] * fraction, v[:n], v[n:-1]
+            value = weights @ problem.path(t, x, u) if weights.size else jnp.zeros(())
+            if gathers:
+                return value
+            return value + v[-1] * share * (rates @ problem.rates(t, x, u))
+
+        return jax.hessian(total)(jnp.concatenate([x, u, final_time[None]]))
+
+    controls = transcription.nodal_controls(variables)
+    blocks = jax.vmap(of_node)(
+        transcription.fractions, shares, variables.states, controls, multipliers.path
+    )
 
     def terminal(v):
-        return rate_weights[-1] * transcription.problem.terminal_cost(v[-1], v[:size])
+        return problem.terminal_cost(v[-1], v[:n])
 
-    last = jnp.concatenate(
-        [variables.states[-1], variables.controls[-1], final_time[None]]
-    )
-    blocks = jnp.zeros((transcription.nodes, last.size, last.size)).at[:-1].add(flow)
-    blocks = blocks.at[-1].add(jax.hessian(terminal)(last))
-    if not path_weights.size:
-        return blocks
-    controls = transcription.nodal_controls(variables)
-    path = jax.vmap(at_node)(
-        transcription.fractions, variables.states, controls, path_weights
-    )
-    return blocks + path
+    last = jnp.concatenate([variables.states[-1], controls[-1], final_time[None]])
+    return blocks.at[-1].add(jax.hessian(terminal)(last))

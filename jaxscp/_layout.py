@@ -11,6 +11,7 @@ import numpy as np
 from scipy.sparse import csc_matrix
 
 from ._discretization import Quadrature
+from ._peaks import Watch
 from ._transcription import Transcription
 
 
@@ -19,7 +20,8 @@ class Structure:
     """All that decides a subproblem's sparsity pattern: hashable, no numbers.
 
     - `nodes`, `control_nodes`: N, M. `state_size`, `control_size`: n, m.
-    - `path_size`: p. `integrals`: q.
+    - `watch`, `parts`: what is enforced between the nodes, and in how many parts of an
+        interval. `integrals`: q.
     - `fixed_states` (N x n), `fixed_controls` (m), `fixed_integrals` (q), `fixed_time`:
         which entries are equalities.
     - `right_control`, `right_state`: which right ends an interval's quantities see.
@@ -30,7 +32,8 @@ class Structure:
     control_nodes: int
     state_size: int
     control_size: int
-    path_size: int
+    watch: Watch
+    parts: int
     integrals: int
     fixed_states: tuple[tuple[bool, ...], ...]
     fixed_controls: tuple[bool, ...]
@@ -41,6 +44,11 @@ class Structure:
     relaxed: bool = False
     ball: bool = False
 
+    @property
+    def limits(self) -> int:
+        """Limits of the state that are enforced between the nodes."""
+        return self.watch.limits if self.parts else 0
+
     @classmethod
     def of(cls, transcription: Transcription, **options: bool) -> "Structure":
         problem = transcription.problem
@@ -50,13 +58,14 @@ class Structure:
             control_nodes=transcription.control_nodes,
             state_size=problem.state_size,
             control_size=problem.control_size,
-            path_size=sum(transcription.path_sizes.values()),
+            watch=transcription.watch,
+            parts=transcription.discretization.between,
             integrals=len(problem.integrals),
             fixed_states=tuple(map(tuple, transcription.fixed_states.tolist())),
             fixed_controls=problem.control.fixed,
             fixed_integrals=tuple(integral.bounds.fixed[0] for integral in integrals),
             fixed_time=problem.final_time.fixed[0],
-            right_control=transcription.discretization.hold.control_nodes(2) == 2,
+            right_control=transcription.discretization.holds_right,
             right_state=transcription.discretization.quadrature is Quadrature.TRAPEZOID,
             **options,
         )
@@ -67,7 +76,9 @@ class Layout:
 
     - `states` (N, n), `controls` (M, m), `time`: the scaled step.
     - `totals` (N, q): the integrals up to each node.
-    - `buffers` (N, p): virtual buffers. `integral_buffers` (2, q): of the integrals.
+    - `buffers` (N, p): virtual buffers of the path constraints at a node and in the
+        interval behind it. `limit_buffers` (N-1, e): of the state's limits there, if the
+        structure is relaxed. `integral_buffers` (2, q): of the integrals.
     - `virtual` (2, N-1, n): positive and negative part of the virtual control.
     - `norms` (N, 2), `time_norm`: bounds on the step's infinity norms.
     - `columns`: how many there are.
@@ -76,11 +87,12 @@ class Layout:
     def __init__(self, structure: Structure):
         nodes, free = structure.nodes, structure.control_nodes
         n, m = structure.state_size, structure.control_size
-        p, q = structure.path_size, structure.integrals
+        p, q = structure.watch.path, structure.integrals
         self.columns = 0
         self.states, self.controls = _none(nodes, n), _none(free, m)
         self.totals, self.buffers = _none(nodes, q), _none(nodes, p)
         self.virtual, self.norms = _none(2, nodes - 1, n), _none(nodes, 2)
+        self.limit_buffers = _none(nodes - 1, structure.limits)
         for k in range(nodes):
             self.states[k] = self._take(n)
             if k > 0:
@@ -90,6 +102,7 @@ class Layout:
             self.buffers[k] = self._take(p)
             if structure.relaxed and k < nodes - 1:
                 self.virtual[:, k] = self._take(2 * n).reshape(2, n)
+                self.limit_buffers[k] = self._take(structure.limits)
             if structure.ball:
                 self.norms[k] = self._take(2)
         self.integral_buffers = self._take(2 * q).reshape(2, q)

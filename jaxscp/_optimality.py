@@ -4,7 +4,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._model import cost_gradient, integral_limits, linear_prediction, worst_violation
+from ._constraints import integral_limits, worst_violation
+from ._model import cost_gradient, linear_prediction
 from ._scaling import Scaling
 from ._state import Iterate
 from ._subproblem import SubproblemSolution, step_limits
@@ -15,7 +16,7 @@ from ._types import Array, Scalar
 class Optimality(eqx.Module):
     """Residuals of the Karush-Kuhn-Tucker conditions, scaled, largest entry of each.
 
-    - `stationarity`: of the Lagrangian's gradient.
+    - `stationarity`: of the Lagrangian's gradient by everything that is not fixed.
     - `feasibility`: of the constraints.
     - `complementarity`: of the products of multipliers and slacks.
     """
@@ -40,7 +41,6 @@ def optimality(
     """Residuals at a point with fresh derivatives, with a subproblem's multipliers."""
     limits = integral_limits(transcription, scaling)
     multipliers, residuals = solution.multipliers, iterate.residuals
-    gradient = _lagrangian_gradient(iterate, solution)
     slack = step_limits(transcription, scaling, iterate.variables)
     totals = residuals.totals
     products = [
@@ -48,34 +48,52 @@ def optimality(
         _products(solution.control, *slack.control),
         _products(solution.final_time[None], *slack.time),
         _products(multipliers.integral, limits[0] - totals, limits[1] - totals),
-        jnp.abs(multipliers.path * residuals.path),
+        _times(multipliers.path, residuals.path),
+        _times(multipliers.between, residuals.between),
     ]
     return Optimality(
-        stationarity=_largest(jax.tree.leaves(gradient)),
+        stationarity=_largest(
+            jax.tree.leaves(lagrangian_gradient(transcription, iterate, solution))
+        ),
         feasibility=worst_violation(residuals, limits),
         complementarity=_largest(products),
     )
 
 
-def _lagrangian_gradient(iterate: Iterate, solution: SubproblemSolution) -> Variables:
+def lagrangian_gradient(
+    transcription: Transcription, iterate: Iterate, solution: SubproblemSolution
+) -> Variables:
+    """The Lagrangian's gradient; zero by variables that are fixed.
+
+    The multiplier of a fixed variable can be anything: whatever makes it vanish.
+    """
     still = jax.tree.map(jnp.zeros_like, solution.step)
 
     def constraints(step: Variables):
         controls = held(step.controls, step.states.shape[0])
         after = linear_prediction(iterate.residuals, iterate.derivatives, step, controls)
-        return after.defects, after.path, after.totals
+        return after.defects, after.path, after.between, after.totals
 
     _, pull_back = jax.vjp(constraints, still)
     own = solution.multipliers
-    (pulled,) = pull_back((own.dynamics, own.path, own.integral))
+    (pulled,) = pull_back((own.dynamics, own.path, own.between, own.integral))
     of_limits = Variables(solution.state, solution.control, solution.final_time)
     slope = cost_gradient(iterate.derivatives)
-    return jax.tree.map(lambda a, b, c: a + b + c, slope, pulled, of_limits)
+    whole = jax.tree.map(lambda a, b, c: a + b + c, slope, pulled, of_limits)
+    problem = transcription.problem
+    return Variables(
+        jnp.where(transcription.fixed_states, 0.0, whole.states),
+        jnp.where(problem.control.is_fixed[None], 0.0, whole.controls),
+        jnp.where(problem.final_time.is_fixed, 0.0, whole.final_time),
+    )
 
 
 def _products(multiplier: Array, below: Array, above: Array) -> Array:
     """Multipliers times the way to their limits: upper ones are positive."""
-    way = jnp.where(multiplier > 0.0, above, below)
+    return _times(multiplier, jnp.where(multiplier > 0.0, above, below))
+
+
+def _times(multiplier: Array, way: Array) -> Array:
     # An infinite limit is no limit, whatever trace of a multiplier it has.
     return jnp.abs(jnp.where(jnp.isfinite(way), multiplier * way, 0.0))
 

@@ -7,8 +7,12 @@ import jax
 import jax.numpy as jnp
 
 from ._iteration import advance, is_finite, judge, linearized, start, try_step
+from ._constraints import integral_limits, penalized_cost
+from ._damping import Damping
+from ._lagrangian import node_shares
 from ._layout import Structure
-from ._model import Model, PerConstraint, convex_model, integral_limits, penalized_cost
+from ._model import Model, nodewise_curvature
+from ._per_constraint import PerConstraint
 from ._qp import PIQP
 from ._scp import AbstractSCP
 from ._state import SCPState
@@ -87,15 +91,13 @@ class PaperSCP(AbstractSCP):
         limits = integral_limits(transcription, state.scaling)
         weights = self._weights(transcription, state)
         # The paper's model has the cost's own curvature and nobody else's.
-        none = jax.tree.map(jnp.zeros_like, weights)
-        model = convex_model(
+        curvature = nodewise_curvature(
             transcription,
             state.scaling,
             iterate.variables,
-            iterate.residuals,
-            iterate.derivatives,
-            none,
+            transcription.no_multipliers,
         )
+        model = Model(iterate.residuals, iterate.derivatives, curvature)
         solution = self._solve(transcription, state, model, weights)
         reference = penalized_cost(iterate.residuals, limits, weights)
         expected = penalized_cost(model.predict(solution.step), limits, weights)
@@ -120,14 +122,13 @@ class PaperSCP(AbstractSCP):
 
     def _weights(self, transcription: Transcription, state: SCPState) -> PerConstraint:
         """The penalty under the trapezoidal sum; an integral counts once."""
-        _, widths = transcription.grid
-        none = jnp.zeros(1)
-        share = 0.5 * (jnp.append(widths, none) + jnp.append(none, widths))
+        (_, widths), (share, _) = transcription.grid, node_shares(transcription)
         residuals = state.iterate.residuals
         ones = jnp.ones_like(residuals.totals)
         return PerConstraint(
             dynamics=self.penalty * widths[:, None] * jnp.ones_like(residuals.defects),
             path=self.penalty * share[:, None] * jnp.ones_like(residuals.path),
+            between=self.penalty * widths[:, None] * jnp.ones_like(residuals.between),
             integral=self.penalty * ones,
         )
 
@@ -138,18 +139,21 @@ class PaperSCP(AbstractSCP):
         model: Model,
         weights: PerConstraint,
     ) -> SubproblemSolution:
+        structure = self._structure(transcription)
         prices = Prices(
-            proximal=jnp.zeros(()),
             virtual_control=weights.dynamics,
             path=weights.path,
+            limit=weights.between[:, : structure.limits],
             integral=weights.integral,
             radius=state.radius,
             precision=jnp.asarray(1e-8),
+            relax=jnp.ones(()),
         )
         reference = state.iterate.variables
         limits = step_limits(transcription, state.scaling, reference)
-        structure = self._structure(transcription)
-        return solve_subproblem(structure, self.qp, model, prices, limits)
+        none = jax.tree.map(jnp.zeros_like, reference)
+        none = Damping.of(model.residuals, none)
+        return solve_subproblem(structure, self.qp, model, none, prices, limits)
 
     def _structure(self, transcription: Transcription) -> Structure:
         return Structure.of(transcription, relaxed=True, ball=True)

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from ._model import PerConstraint
+from ._per_constraint import PerConstraint
 from ._types import Array, Scalar
 
 

@@ -3,10 +3,11 @@
 from collections.abc import Callable, Mapping
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from ._bounds import Bounds
-from ._types import Array, Scalar, State, TimeStateControl
+from ._types import Array, Control, Float, Scalar, State, TimeStateControl
 
 
 class Integral(eqx.Module):
@@ -113,6 +114,28 @@ class OptimalControlProblem(eqx.Module):
     @property
     def control_size(self) -> int:
         return self.control.lower.size
+
+    @property
+    def path_sizes(self) -> dict[str, int]:
+        """Entries of each path constraint."""
+        point = (jnp.zeros(()), self.state.lower, self.control.lower)
+        return {
+            name: int(jax.eval_shape(constraint, *point).size)
+            for name, constraint in self.path_constraints.items()
+        }
+
+    def rates(self, t: Scalar, x: State, u: Control) -> Float[Array, " r"]:
+        """Integrands of all integrals, and the running cost, at one moment."""
+        rates = [integral.integrand(t, x, u) for integral in self.integrals.values()]
+        return jnp.stack(
+            [jnp.reshape(rate, ()) for rate in [*rates, self.running_cost(t, x, u)]]
+        )
+
+    def path(self, t: Scalar, x: State, u: Control) -> Float[Array, " p"]:
+        """All path constraints, one after the other, at one moment."""
+        constraints = self.path_constraints.values()
+        values = [jnp.ravel(constraint(t, x, u)) for constraint in constraints]
+        return jnp.concatenate(values) if values else jnp.zeros(0, x.dtype)
 
     def unit(self, name: str) -> str:
         """The unit of a state, control, path constraint or integral; "" if unknown."""

@@ -6,15 +6,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ._active_set import active_set_step
+from ._constraints import integral_limits, worst_violation
+from ._damping import Damping
 from ._iteration import advance, is_finite, linearized, start, tree_where
 from ._layout import Structure
-from ._model import (
-    Model,
-    convex_model,
-    integral_limits,
-    second_order_model,
-    worst_violation,
-)
+from ._model import Model, exact_curvature, nodewise_curvature
 from ._optimality import Optimality, optimality
 from ._penalty_weights import following
 from ._qp import PIQP
@@ -37,10 +34,11 @@ class ProximalSCP(AbstractSCP):
     multipliers. The dynamics are exact equalities of the subproblem, and virtual control
     enters only where those cannot be met.
 
-    The model has all of the Lagrangian's curvature where controls are held and integrals
-    follow the flow; elsewhere that of costs, path constraints and integrals. Near a
-    solution the first is Newton's method with the weight of Levenberg and Marquardt: the
-    iterate is polished to a point that satisfies the optimality conditions.
+    Far from a solution the model has the curvature of costs, path constraints and
+    integrals, made convex at each node; nearer to one all of the Lagrangian's, convex or
+    not, held to the active constraints. Close to it that is Newton's method with the
+    weight of Levenberg and Marquardt: the iterate is polished to a point that satisfies
+    the optimality conditions.
 
     **Arguments:**
 
@@ -57,7 +55,7 @@ class ProximalSCP(AbstractSCP):
     - `qp`: the solver of the subproblems.
     """
 
-    tolerance: float = eqx.field(static=True, default=1e-6)
+    tolerance: float = eqx.field(static=True, default=1e-8)
     max_iterations: int = eqx.field(static=True, default=100)
     max_polish: int = eqx.field(static=True, default=60)
     min_reduction: float = eqx.field(static=True, default=1e-7)
@@ -74,7 +72,9 @@ class ProximalSCP(AbstractSCP):
     weight_factor: float = eqx.field(static=True, default=3.0)
     # Promised reduction below which remaining violations are there to stay.
     min_progress: float = eqx.field(static=True, default=1e-4)
-    # Residual below which Newton's method needs no merit function.
+    # Residuals below which the multipliers are good enough for all of the curvature, and
+    # below which Newton's method needs no merit function.
+    close: float = eqx.field(static=True, default=0.1)
     near: float = eqx.field(static=True, default=1e-4)
     min_radius: float = eqx.field(static=True, default=1e-12)
     max_radius: float = eqx.field(static=True, default=1e6)
@@ -105,20 +105,16 @@ class ProximalSCP(AbstractSCP):
         iterate = linearized(transcription, state.scaling, state.iterate)
         gap = optimality(transcription, state.scaling, iterate, state.solution)
         begun = state.records > 0
-        near = begun & self._is_near(transcription, gap)
-        # Levenberg and Marquardt: a weight that vanishes with the residual converges
-        # fast, and does not stray along directions the cost hardly sees. Three holds
-        # such steps, as of a quadrotor's yaw, to a third of the range.
-        polishing = 1.0 / (3.0 * transcription.nodes * gap.residual)
-        polishing = jnp.minimum(polishing, self.max_radius)
-        radius = jnp.where(near & ~refused, polishing, state.radius)
         state = dataclasses.replace(
             state,
             iterate=iterate,
             finite=is_finite(iterate),
             optimality=jnp.where(begun, gap.residual, jnp.inf),
-            radius=radius,
         )
+        near = begun & self._is_near(state, gap)
+        radius = self._polishing_radius(transcription, gap)
+        radius = jnp.where(near & ~refused, radius, state.radius)
+        state = dataclasses.replace(state, radius=radius)
         return jax.lax.cond(
             state.optimality <= self.tolerance,
             lambda state: state,
@@ -126,29 +122,48 @@ class ProximalSCP(AbstractSCP):
             state,
         )
 
-    def _is_near(self, transcription: Transcription, gap: Optimality) -> Array:
+    def _is_near(self, state: SCPState, gap: Optimality) -> Array:
         """Whether Newton's method may be trusted without a merit function."""
-        if not self._is_second_order(transcription):
-            return jnp.array(False)
-        return (gap.stationarity <= self.near) & (gap.feasibility <= 10.0 * self.near)
+        small = (gap.stationarity <= self.near) & (gap.feasibility <= 10.0 * self.near)
+        return small & self._uses_exact(state)
 
-    def _is_second_order(self, transcription: Transcription) -> bool:
-        return self.curvature == "all" and transcription.has_exact_hessian
+    def _polishing_radius(self, transcription: Transcription, gap: Optimality) -> Scalar:
+        """Levenberg and Marquardt: a weight that vanishes with the residual.
+
+        It converges fast, and does not stray along directions the cost hardly sees. One
+        step along these, as of a quadrotor's yaw, disturbs the others to second order:
+        a lighter weight takes that back.
+        """
+        share = jnp.where(gap.residual < 1e-6, 1.0, 0.3) * gap.residual
+        return jnp.minimum(1.0 / (share * transcription.nodes), self.max_radius)
+
+    def _uses_exact(self, state: SCPState) -> Array:
+        """Whether the next model has all of the curvature.
+
+        Not after virtual control was needed, nor after a subproblem that failed: without
+        convexity some do.
+        """
+        sound = ~state.solution.effort.relaxed & (state.failures == 0)
+        return sound & (state.optimality < self.close) & (self.curvature == "all")
 
     def _iterate(
         self, transcription: Transcription, state: SCPState, near: Array
     ) -> SCPState:
         model = self._model(transcription, state)
-        # No ratio is below minus infinity, all are below plus infinity.
-        poor = jnp.where(near, jnp.inf, self.correction_ratio)
+        damping = self._damping(transcription, state, model, near)
+        poor = jnp.asarray(self.correction_ratio if self.correction else -jnp.inf)
         found, judgement = search(
             transcription,
             state,
             model,
-            solve=lambda around: self._solve(transcription, state, around),
+            solve=lambda around: self._solve(
+                transcription, state, around, damping, near
+            ),
             follow=lambda to: following(state.weights, to, state.ceiling),
             accept_ratio=self.accept_ratio,
-            correction_ratio=poor if self.correction else jnp.asarray(-jnp.inf),
+            # Of a polishing step what counts is whether it stays feasible.
+            correction_ratio=jnp.where(near, -jnp.inf, poor),
+            feasibility=jnp.where(near & self.correction, 0.01 * state.optimality, jnp.inf),
         )
         # The exact penalty hides progress that is second order in the step.
         harmless = judgement.actual >= -self.near * (1.0 + jnp.abs(judgement.reference))
@@ -157,79 +172,96 @@ class ProximalSCP(AbstractSCP):
         judgement = dataclasses.replace(judgement, accepted=accepted)
         return self._advance(transcription, state, found, judgement, near)
 
-    def _uses_exact(self, transcription: Transcription, state: SCPState) -> Array:
-        """Whether the next model has all of the curvature.
-
-        Not after virtual control was needed: along dynamics that are not met, what one
-        interval takes from another does not cancel.
-        """
-        exact = self._is_second_order(transcription)
-        return jnp.array(exact) & ~state.solution.effort.relaxed
-
     def _model(self, transcription: Transcription, state: SCPState) -> Model:
         iterate, multipliers = state.iterate, state.solution.multipliers
         point = (transcription, state.scaling, iterate.variables)
-        known = (iterate.residuals, iterate.derivatives)
         share = 0.0 if self.curvature == "cost" else 1.0
-        weighed = jax.tree.map(lambda leaf: share * leaf, multipliers)
-        if not self._is_second_order(transcription):
-            return convex_model(*point, *known, weighed)
-        return jax.lax.cond(
-            self._uses_exact(transcription, state),
-            lambda: second_order_model(
-                *point,
-                # Half the steps tell the curvature well enough to converge fast.
-                (iterate.substeps + 1) // 2,
-                *known,
-                multipliers,
-                *self._damping(transcription, state),
-            ),
-            lambda: convex_model(*point, *known, weighed),
-        )
+
+        def nodewise():
+            weighed = jax.tree.map(lambda leaf: share * leaf, multipliers)
+            return nodewise_curvature(*point, weighed)
+
+        def exact():
+            # Half the steps tell the curvature well enough to converge fast.
+            least = transcription.discretization.least_substeps
+            rough = jnp.maximum((iterate.substeps + 1) // 2, least)
+            return exact_curvature(*point, rough, multipliers)
+
+        if self.curvature == "all":
+            curvature = jax.lax.cond(self._uses_exact(state), exact, nodewise)
+        else:
+            curvature = nodewise()
+        return Model(iterate.residuals, iterate.derivatives, curvature)
 
     def _damping(
-        self, transcription: Transcription, state: SCPState
-    ) -> tuple[Variables, Array]:
-        """The proximal term, and the hold of active limits and path constraints.
-
-        The Lagrangian need only be convex along the active limits: holding the step to
-        them costs nothing once it is right which ones are active.
-        """
-        last, each = state.solution, 1.0 / state.radius / transcription.nodes
+        self, transcription: Transcription, state: SCPState, model: Model, near: Array
+    ) -> Damping:
+        """The proximal term and, where the model is not convex, the hold of what is
+        active."""
+        last, exact = state.solution, self._uses_exact(state)
+        weight, nodes = 1.0 / state.radius, transcription.nodes
+        share = weight / nodes
 
         def hold(multiplier: Array) -> Array:
             size = jnp.abs(multiplier)
             # PIQP leaves traces on limits that are not active.
-            return jnp.minimum(100.0 * jnp.where(size > 1e-7, size, 0.0), 1e3)
+            firm = exact & (size > 1e-7)
+            return jnp.minimum(100.0 * jnp.where(firm, size, 0.0), 1e3)
 
         free = jnp.where(transcription.fixed_states, 0.0, last.state)
-        damping = Variables(
-            hold(free) + each, hold(last.control) + each, 1.0 / state.radius
+        # The flight time moves every node: it counts once for each of them, but where
+        # the step is short anyway.
+        step = Variables(
+            hold(free) + share,
+            hold(last.control) + share,
+            jnp.where(near, share, weight),
         )
-        return damping, hold(last.multipliers.path)
+        lower, upper = integral_limits(transcription, state.scaling)
+        active = jnp.where(last.multipliers.integral > 0.0, upper, lower)
+        return dataclasses.replace(
+            Damping.of(model.residuals, step),
+            path=hold(last.multipliers.path),
+            between=hold(last.multipliers.between),
+            integral=hold(last.multipliers.integral),
+            target=jnp.where(jnp.isfinite(active), active, 0.0),
+        )
 
     def _solve(
-        self, transcription: Transcription, state: SCPState, model: Model
+        self,
+        transcription: Transcription,
+        state: SCPState,
+        model: Model,
+        damping: Damping,
+        near: Array,
     ) -> SubproblemSolution:
-        scaling, reference = state.scaling, state.iterate.variables
         residuals, ceiling = model.residuals, state.ceiling
+        structure = Structure.of(transcription)
+        intervals = transcription.nodes - 1
         prices = Prices(
-            # Exact models have it in them already.
-            proximal=jnp.where(
-                self._uses_exact(transcription, state), 0.0, 1.0 / state.radius
-            ),
             virtual_control=jnp.full_like(residuals.defects, ceiling),
             path=jnp.full_like(residuals.path, ceiling),
+            limit=jnp.full((intervals, structure.limits), ceiling),
             integral=jnp.full_like(residuals.totals, ceiling),
             radius=jnp.zeros(()),
             # As exact as the way still to go deserves.
             precision=jnp.clip(1e-5 * state.optimality, 1e-10, 1e-7),
+            relax=jnp.where(self._uses_exact(state), 0.0, 1.0),
         )
-        limits = step_limits(transcription, scaling, reference)
-        structure = Structure.of(transcription)
-        solution = solve_subproblem(structure, self.qp, model, prices, limits)
-        costates = model.costates(solution.multipliers.dynamics, solution.step)
-        return eqx.tree_at(lambda s: s.multipliers.dynamics, solution, costates)
+        limits = step_limits(transcription, state.scaling, state.iterate.variables)
+
+        def by_guess():
+            return active_set_step(model, damping, limits, state.solution)
+
+        def by_qp():
+            args = (structure, self.qp, model, damping, prices, limits)
+            return solve_subproblem(*args)
+
+        if self.curvature != "all":
+            return by_qp()
+        nothing = SubproblemSolution.none(structure)
+        nothing = eqx.tree_at(lambda s: s.effort.solved, nothing, jnp.array(False))
+        guessed = jax.lax.cond(near, by_guess, lambda: nothing)
+        return jax.lax.cond(guessed.effort.solved, lambda: guessed, by_qp)
 
     def _advance(
         self,

@@ -11,8 +11,10 @@ import jax
 import jax.numpy as jnp
 
 from ._bounds import Bounds
-from ._discretization import IntervalJacobians, Jacobian
+from ._curvature import Curvature
+from ._intervals import IntervalJacobians, Jacobian
 from ._lagrangian import nodal_curvature
+from ._per_constraint import PerConstraint
 from ._transcription import (
     Derivatives,
     NodeDerivatives,
@@ -31,6 +33,7 @@ class Scaling(eqx.Module):
     time: Scalar
     integral: Float[Array, " q"]
     path: Float[Array, " p"]
+    between: Float[Array, " b"]
     objective: Scalar
 
     def move(self, variables: Variables, step: Variables) -> Variables:
@@ -47,6 +50,7 @@ class Scaling(eqx.Module):
             objective=residuals.objective / self.objective,
             defects=residuals.defects / self.state[None],
             path=residuals.path / self.path[None],
+            between=residuals.between / self.between[None],
             increments=residuals.increments / rates[None],
         )
 
@@ -57,6 +61,7 @@ class Scaling(eqx.Module):
             IntervalJacobians(
                 self._jacobian(intervals.next_state, self.state),
                 self._jacobian(intervals.increments, rates),
+                self._jacobian(intervals.between, self.between),
             ),
             self.node_derivatives(derivatives.nodes),
         )
@@ -71,11 +76,20 @@ class Scaling(eqx.Module):
             terminal_time=nodes.terminal_time * self.time / self.objective,
         )
 
-    def curvature(self, blocks: Float[Array, "N v v"]) -> Float[Array, "N v v"]:
-        """Blocks of the cost's Hessian by (x, u) or (x, u, T), all scaled."""
-        sizes = jnp.concatenate([self.state, self.control, self.time[None]])
-        sizes = sizes[: blocks.shape[1]]
-        return blocks * jnp.outer(sizes, sizes)[None] / self.objective
+    def curvature(self, curvature: Curvature) -> Curvature:
+        """The cost's second derivatives, all scaled."""
+        sizes = jnp.concatenate([self.state, self.control])
+        scaled = curvature.scaled(sizes, self.time)
+        return jax.tree.map(lambda block: block / self.objective, scaled)
+
+    def physical(self, multipliers: PerConstraint) -> PerConstraint:
+        """Multipliers in units of the objective per unit of their constraint."""
+        return PerConstraint(
+            dynamics=multipliers.dynamics * self.objective / self.state[None],
+            path=multipliers.path * self.objective / self.path[None],
+            between=multipliers.between * self.objective / self.between[None],
+            integral=multipliers.integral * self.objective / self.integral,
+        )
 
     def _jacobian(self, jacobian: Jacobian, rows: Float[Array, " r"]) -> Jacobian:
         def scaled(block, columns):
@@ -101,13 +115,14 @@ def automatic_scaling(transcription: Transcription, guess: Variables) -> Scaling
         _scale(integral.bounds, total[None], absolute=True)
         for integral, total in zip(problem.integrals.values(), totals, strict=True)
     ]
-    path_size = sum(transcription.path_sizes.values())
+    watch, parts = transcription.watch, transcription.discretization.between
     sizes = Scaling(
         state=_scale(problem.state, jnp.concatenate([guess.states, ends])),
         control=_scale(problem.control, guess.controls),
         time=_first_positive(_given(problem.final_time), jnp.abs(guess.final_time)),
         integral=jnp.array(integral).reshape(len(totals)),
-        path=jnp.ones(path_size),
+        path=jnp.ones(watch.path),
+        between=jnp.ones(parts * watch.size),
         objective=jnp.ones(()),
     )
     nodes = sizes.node_derivatives(transcription.linearize_nodes(guess))
@@ -115,7 +130,10 @@ def automatic_scaling(transcription: Transcription, guess: Variables) -> Scaling
     slopes += jnp.sum(jnp.abs(nodes.path_control), axis=2) + jnp.abs(nodes.path_time)
     path = _first_positive(jnp.max(slopes, axis=0))
     objective = _objective_scale(transcription, sizes, guess, cost, nodes)
-    return dataclasses.replace(sizes, path=path, objective=objective)
+    watched = jnp.concatenate([sizes.state[watch.entries], path])
+    return dataclasses.replace(
+        sizes, path=path, between=jnp.tile(watched, parts), objective=objective
+    )
 
 
 def _scale(
@@ -164,10 +182,9 @@ def _objective_scale(
     one range count too. All of them are homogeneous in the cost: a cost in other units
     leaves the scaled problem as it was.
     """
-    rates = jnp.zeros(len(transcription.problem.integrals) + 1).at[-1].set(1.0)
-    none = jnp.zeros(nodes.path_time.shape)
-    blocks = nodal_curvature(transcription, guess, rates, none)
-    traces = jnp.trace(sizes.curvature(blocks), axis1=1, axis2=2)
+    none = transcription.no_multipliers
+    curved = sizes.curvature(nodal_curvature(transcription, guess, none))
+    traces = jnp.trace(curved.blocks, axis1=1, axis2=2)
     by_state, by_control = jax.vmap(
         jax.grad(transcription.problem.running_cost, argnums=(1, 2))
     )(

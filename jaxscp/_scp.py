@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._model import integral_limits, largest_buffer, violations
+from ._constraints import integral_limits, largest_buffer, violations
 from ._state import SCPState
 from ._status import Status
 from ._transcription import Transcription, Variables

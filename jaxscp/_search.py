@@ -7,8 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ._constraints import integral_limits, penalized_cost, worst_violation
 from ._iteration import judge, tree_where, try_step
-from ._model import Model, PerConstraint, integral_limits, penalized_cost
+from ._model import Model
+from ._per_constraint import PerConstraint
 from ._state import Judgement, SCPState, Trial
 from ._subproblem import SubproblemSolution
 from ._transcription import Residuals, Transcription
@@ -40,6 +42,7 @@ def search(
     *,
     accept_ratio: float,
     correction_ratio: Array,
+    feasibility: Array,
 ) -> tuple[Search, Judgement]:
     """The subproblem's step or, if that is poor, its second-order correction.
 
@@ -52,6 +55,7 @@ def search(
 
     - `solve`: the subproblem of a model. `follow`: penalty weights from multipliers.
     - `accept_ratio`: as in the ratio test. `correction_ratio`: below it a step is poor.
+    - `feasibility`: a step that violates a constraint by more is poor, too.
     """
     limits = integral_limits(transcription, state.scaling)
 
@@ -63,6 +67,7 @@ def search(
     def again(found: Search) -> Array:
         solved = found.best.solution.effort.solved
         poor = judged(found).ratio < correction_ratio
+        poor |= worst_violation(found.best.residuals, limits) > feasibility
         return (found.passes == 0) | ((found.passes == 1) & solved & poor)
 
     def attempt(found: Search) -> Search:
@@ -112,10 +117,14 @@ def _combined(
 def _corrected(here: Residuals, seen: Residuals, expected: Residuals) -> Residuals:
     """Residuals at the reference, plus what the linearization missed at a trial."""
     missed = seen.increments - expected.increments
+    # Where there is no limit, its peak is infinitely low.
+    limited = jnp.isfinite(here.between)
+    between = jnp.where(limited, seen.between - expected.between, 0.0)
     return Residuals(
         objective=here.objective,
         defects=here.defects + seen.defects - expected.defects,
         path=here.path + seen.path - expected.path,
+        between=here.between + between,
         # But for the cost, whose curvature the model has already.
         increments=here.increments + missed.at[:, -1].set(0.0),
     )

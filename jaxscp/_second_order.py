@@ -1,98 +1,180 @@
-"""Second derivatives of the flow, contracted with multipliers.
+"""Second derivatives of one interval, contracted with multipliers.
 
-Exact for the discrete flow: the adjoint of every Runge-Kutta step, from the last to the
-first. Its cost is a few times that of the first derivatives, whatever their number.
+Exact for the discrete flow. What an interval ends with is linear in its state and in the
+step's length h times the rates at each Runge-Kutta stage. With the multipliers kappa of
+the rates, from an adjoint sweep over the steps, its Hessian is therefore a sum over
+stages,
+
+    P' (kappa . rates)'' P + (dh / h) (kappa . d rates)' + (kappa . d rates) (dh / h)',
+
+where P are the tangents of the stage's time, state and control. A peak between the nodes
+adds the curvature of the path constraint there and, as its moment s moves along,
+-(dg_s)(dg_s)' / g_ss, because g_s = 0.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._discretization import (
-    RK4_NODES,
-    RK4_WEIGHTS,
-    Discretization,
-    integrand_rates,
-    moment,
-)
-from ._problem import OptimalControlProblem
+from ._flow import Flow, Span, Step
+from ._peaks import derivatives
 from ._types import Array, Float, Scalar
 
+# A share of a step within which Newton's method has found a peak.
+_FOUND = 1e-6
 
-def flow_hessian(
-    problem: OptimalControlProblem,
-    discretization: Discretization,
-    substeps: Array | int,
-    span: tuple[Scalar, Scalar],
+
+def interval_hessian(
+    flow: Flow,
+    span: Span,
     x: Float[Array, " n"],
-    u: Float[Array, " m"],
-    final_time: Scalar,
-    weights: Float[Array, " e"],
+    weights: Float[Array, " w"],
+    pushes: Float[Array, "parts e"],
 ) -> Float[Array, "v v"]:
-    """Hessian of a weighted sum of what one interval of a held control ends with.
+    """Hessian of a weighted sum of what one interval ends with.
 
     **Arguments:**
 
-    - `weights`: of the state at the end, and of the growth of integrals and cost.
+    - `weights`: of the state at the end, then of the growth of integrals and cost if
+        they flow. `pushes`: of the peaks of what is watched.
 
-    **Returns:** by v = (x, u, final time).
+    **Returns:** by v = (x, control at the left, the one at the right if the hold knows
+    it, final time).
     """
-    n, v = x.size, jnp.concatenate([x, u, final_time[None]])
-    by_state, by_growth = weights[:n], weights[n:]
-
-    def end(index, v):
-        held = v[n:-1]
-        return _one_step(problem, discretization, substeps, index, span, held, v)
+    variables = _Variables(flow, span)
+    v, n = variables.pack(span, x), x.size
 
     def forward(index, carry):
-        x, starts = carry
-        return end(index, v.at[:n].set(x))[0], starts.at[index].set(x)
+        course, starts = carry
+        starts = starts.at[index].set(course.ending)
+        return flow.advance(span, index, course), starts
 
-    starts = jnp.zeros((discretization.max_substeps, n))
-    _, starts = jax.lax.fori_loop(0, substeps, forward, (x, starts))
+    starts = jnp.zeros((flow.discretization.max_substeps, n))
+    course, starts = jax.lax.fori_loop(0, flow.substeps, forward, (flow.start(x), starts))
 
     def backward(count, carry):
         costate, hessian = carry
-        index = substeps - 1 - count
-        here = v.at[:n].set(starts[index])
-
-        def gradient_and_end(v):
-            def weighted(v):
-                ending, growth = end(index, v)
-                return costate @ ending + by_growth @ growth, ending
-
-            return jax.grad(weighted, has_aux=True)(v)
-
-        (gradient, _), (curved, slopes) = jax.vmap(
-            lambda tangent: jax.jvp(gradient_and_end, (here,), (tangent,)),
-            out_axes=((None, None), -1),
-        )(jnp.eye(v.size))
-        # Control and flight time pass through every step unchanged.
+        index = flow.substeps - 1 - count
+        push = jnp.sum(jnp.where(course.peaks.steps == index, pushes, 0.0), axis=0)
+        one = _StepHessian(flow, variables, index, weights.at[:n].set(costate), push)
+        gradient, curved, slopes = one(v.at[:n].set(starts[index]))
+        # Controls and flight time pass through every step unchanged.
         through = jnp.concatenate([slopes, jnp.eye(v.size)[n:]])
         return gradient[:n], through.T @ hessian @ through + curved
 
     nothing = jnp.zeros((v.size, v.size))
-    _, hessian = jax.lax.fori_loop(0, substeps, backward, (by_state, nothing))
+    _, hessian = jax.lax.fori_loop(0, flow.substeps, backward, (weights[:n], nothing))
     return hessian
 
 
-def _one_step(problem, discretization, substeps, index, span, u, v):
-    """State and growth of the integrals after one Runge-Kutta step."""
-    x, final_time = v[: problem.state_size], v[-1]
-    step = 1.0 / substeps
-    seconds = final_time * span[1] * step
+class _Variables(eqx.Module):
+    """What an interval depends on, as one vector."""
 
-    def stage(carry, coefficients):
-        slope, change, growth = carry
-        node, weight = coefficients
-        fraction = (index + node) * step
-        t, held = moment(discretization, span, fraction, u, u, final_time)
-        place = x + node * seconds * slope
-        slope = problem.dynamics(t, place, held)
-        rates = integrand_rates(problem, t, place, held)
-        return (slope, change + weight * slope, growth + weight * rates), None
+    flow: Flow
+    span: Span
 
-    nothing = jnp.zeros_like(x)
-    first = (nothing, nothing, jnp.zeros(len(problem.integrals) + 1))
-    coefficients = (jnp.asarray(RK4_NODES), jnp.asarray(RK4_WEIGHTS))
-    (_, change, growth), _ = jax.lax.scan(stage, first, coefficients)
-    return x + seconds * change, seconds * growth
+    def pack(self, span: Span, x: Array) -> Float[Array, " v"]:
+        held = [span.left]
+        if self.flow.discretization.holds_right:
+            held.append(span.right)
+        return jnp.concatenate([x, *held, span.final_time[None]])
+
+    def unpack(self, v: Float[Array, " v"]) -> tuple[Span, Float[Array, " n"]]:
+        n, m = self.flow.problem.state_size, self.flow.problem.control_size
+        both = self.flow.discretization.holds_right
+        right = v[n + m : n + 2 * m] if both else self.span.right
+        span = Span(self.span.start, self.span.width, v[n : n + m], right, v[-1])
+        return span, v[:n]
+
+
+class _StepHessian(eqx.Module):
+    """Gradient and Hessian of a weighted sum of what one step ends with.
+
+    - `weights`: of the state and the growth at its end. `push`: of what is watched.
+    """
+
+    flow: Flow
+    variables: _Variables
+    index: Array
+    weights: Float[Array, " w"]
+    push: Float[Array, " e"]
+
+    def __call__(self, v: Float[Array, " v"]) -> tuple[Array, Array, Array]:
+        """Gradient, Hessian, and the Jacobian of the state at the end."""
+        flow, (span, x) = self.flow, self.variables.unpack(v)
+        step = flow.step(span, self.index, x)
+        shares = self._shares(span, step)
+        none = jax.tree.map(jnp.zeros_like, step.slopes)
+        gradient, kappa = jax.grad(self._sum, argnums=(0, 1))(v, none, shares)
+
+        def followed(v):
+            span, x = self.variables.unpack(v)
+            step = flow.step(span, self.index, x)
+            points, slopes = jnp.stack(step.stages), jnp.zeros(0)
+            if self.push.size:
+                inner = flow.path_points(span, self.index, step, shares)
+                points = jnp.concatenate([points, inner])
+                slopes = self._slope(span, step, shares)
+            pairs = zip(kappa, step.slopes, strict=True)
+            total = sum(jnp.vdot(weight, part) for weight, part in pairs)
+            return step.ending, points, total, slopes
+
+        (_, points, _, _), (by_v, tangents, moved, tilts) = jax.vmap(
+            lambda tangent: jax.jvp(followed, (v,), (tangent,)),
+            out_axes=((None,) * 4, -1),
+        )(jnp.eye(v.size))
+        hessian = self._of_stages(kappa, points[:4], tangents[:4])
+        # The step's length depends on the flight time alone: dh / h = dT / T.
+        mixed = jnp.outer(jnp.zeros_like(v).at[-1].set(1.0 / v[-1]), moved)
+        hessian += mixed + mixed.T
+        if self.push.size:
+            hessian += self._of_peaks(points[4:], tangents[4:])
+            hessian += self._of_moments(span, step, shares, tilts)
+        return gradient, hessian, by_v
+
+    def _shares(self, span: Span, step: Step) -> Float[Array, " e"]:
+        if not self.push.size:
+            return jnp.zeros(0)
+        return self.flow.peak_shares(span, self.index, step)
+
+    def _sum(self, v, nudges, shares) -> Scalar:
+        span, x = self.variables.unpack(v)
+        step = self.flow.step(span, self.index, x, nudges=nudges)
+        total = self.weights[: x.size] @ step.ending
+        if self.flow.gathers:
+            total += self.weights[x.size :] @ step.growth
+        if self.push.size:
+            total += self.push @ self.flow.watched(span, self.index, step, shares)
+        return total
+
+    def _slope(self, span: Span, step: Step, shares: Array) -> Float[Array, " e"]:
+        """Derivative of each watched quantity by its share of the step."""
+        return jax.jvp(
+            lambda shares: self.flow.watched(span, self.index, step, shares),
+            (shares,),
+            (jnp.ones_like(shares),),
+        )[1]
+
+    def _of_stages(self, kappa, points, tangents) -> Float[Array, "v v"]:
+        def weighed(point, kappa):
+            return kappa @ self.flow.rates(*self.flow.split(point))
+
+        curved = jax.vmap(jax.hessian(weighed))(points, jnp.stack(kappa))
+        return jnp.einsum("saw,sab,sbv->wv", tangents, curved, tangents)
+
+    def _of_peaks(self, points, tangents) -> Float[Array, "v v"]:
+        path = self.push[self.flow.watch.limits :]
+
+        def weighed(point, entry, push):
+            return push * self.flow.problem.path(*self.flow.split(point))[entry]
+
+        curved = jax.vmap(jax.hessian(weighed))(points, jnp.arange(path.size), path)
+        return jnp.einsum("caw,cab,cbv->wv", tangents, curved, tangents)
+
+    def _of_moments(self, span, step, shares, tilts) -> Float[Array, "v v"]:
+        slope, bend = derivatives(
+            lambda shares: self.flow.watched(span, self.index, step, shares), shares
+        )
+        inner = (bend < 0.0) & (jnp.abs(slope) <= _FOUND * jnp.abs(bend))
+        gain = jnp.where(inner, -self.push / jnp.where(inner, bend, 1.0), 0.0)
+        return jnp.einsum("cw,c,cv->wv", tilts, gain, tilts)

@@ -5,7 +5,8 @@ import jax
 import jax.numpy as jnp
 
 from ._diagnosis import Violations, explain
-from ._discretization import Discretization, flow_within
+from ._discretization import Discretization
+from ._flow import Flow, Span
 from ._packed import Packed
 from ._problem import OptimalControlProblem
 from ._state import History
@@ -136,12 +137,14 @@ def _sampled(solution: Solution, fractions: Float[Array, " k"]) -> Trajectory:
     starts, widths = nodes.fractions[:-1], jnp.diff(nodes.fractions)
     left, right = nodes.controls[index], nodes.controls[index + 1]
     within = jnp.maximum(fractions - starts[index], 0.0) / widths[index]
-    solver = solution.problem, solution.discretization, solution.statistics.substeps
-    time = nodes.final_time
-    states = jax.vmap(
-        lambda span, x, controls, reach: flow_within(
-            *solver, span, x, controls, time, reach
-        )
-    )((starts[index], widths[index]), nodes.states[index], (left, right), within)
+    substeps, time = solution.statistics.substeps, nodes.final_time
+    flow = Flow(solution.problem, solution.discretization, substeps)
+
+    def reached(start, width, x, left, right, reach):
+        return flow.along(Span(start, width, left, right, time), x, reach)
+
+    states = jax.vmap(reached)(
+        starts[index], widths[index], nodes.states[index], left, right, within
+    )
     controls = jax.vmap(solution.discretization.hold.interpolate)(left, right, within)
     return Trajectory(fractions, states, controls, time)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ._diagnosis import Violations
 from ._discretization import Discretization
-from ._model import integral_limits, physical_multipliers, violations
+from ._constraints import integral_limits, violations
 from ._packed import Packed
 from ._problem import OptimalControlProblem
 from ._proximal import ProximalSCP
@@ -118,7 +118,7 @@ def _run(
 def _named(transcription: Transcription, values: Array) -> dict[str, Array]:
     """Columns of all path constraints, by their names."""
     named, start = {}, 0
-    for name, size in transcription.path_sizes.items():
+    for name, size in transcription.problem.path_sizes.items():
         named[name] = values[..., start : start + size]
         start += size
     return named
@@ -168,7 +168,7 @@ def _multipliers(transcription: Transcription, state: SCPState) -> Multipliers:
     """All multipliers, in physical units."""
     scaling, solution = state.scaling, state.solution
     size, names = scaling.objective, transcription.problem.integrals
-    physical = physical_multipliers(scaling, solution.multipliers)
+    physical = scaling.physical(solution.multipliers)
     missing = transcription.nodes - transcription.control_nodes
     control: Float[Array, "N m"] = jnp.pad(solution.control, ((0, missing), (0, 0)))
     return Multipliers(

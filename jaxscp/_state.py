@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from ._model import PerConstraint
+from ._per_constraint import PerConstraint
 from ._scaling import Scaling
 from ._subproblem import SubproblemSolution
 from ._transcription import Derivatives, Residuals, Variables

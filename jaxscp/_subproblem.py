@@ -11,8 +11,11 @@ from jax.flatten_util import ravel_pytree
 
 from ._assembly import subproblem_solver
 from ._bounds import Bounds
+from ._constraints import integral_limits
+from ._damping import Damping
 from ._layout import Structure
-from ._model import Model, PerConstraint, integral_limits
+from ._model import Model
+from ._per_constraint import PerConstraint
 from ._qp import PIQP
 from ._scaling import Scaling
 from ._subproblem_data import Limits, Outline, Prices, SubproblemData
@@ -38,6 +41,13 @@ class Effort(eqx.Module):
     solves: Array
     iterations: Array
     seconds: Scalar
+
+    @classmethod
+    def of_linear_system(cls) -> "Effort":
+        """Of a subproblem that took no QP."""
+        zero, none = jnp.zeros(()), jnp.zeros((), int)
+        yes = jnp.array(True)
+        return cls(yes, ~yes, ~yes, zero, zero, none, none, zero)
 
     def after(self, earlier: "Effort") -> "Effort":
         """This outcome, with what an earlier subproblem took added."""
@@ -73,16 +83,20 @@ class SubproblemSolution(eqx.Module):
         nodes, n = structure.nodes, structure.state_size
         states = jnp.zeros((nodes, n))
         controls = jnp.zeros((structure.control_nodes, structure.control_size))
-        path, zero = jnp.zeros((nodes, structure.path_size)), jnp.zeros(())
-        integral = jnp.zeros(structure.integrals)
-        yes, count = jnp.array(True), jnp.zeros((), int)
+        zero, watch = jnp.zeros(()), structure.watch
+        multipliers = PerConstraint(
+            dynamics=states[1:],
+            path=jnp.zeros((nodes, watch.path)),
+            between=jnp.zeros((nodes - 1, structure.parts * watch.size)),
+            integral=jnp.zeros(structure.integrals),
+        )
         return cls(
             step=Variables(states, controls, zero),
-            multipliers=PerConstraint(states[1:], path, integral),
+            multipliers=multipliers,
             state=states,
             control=controls,
             final_time=zero,
-            effort=Effort(yes, ~yes, ~yes, zero, zero, count, count, zero),
+            effort=Effort.of_linear_system(),
         )
 
 
@@ -114,14 +128,19 @@ def step_limits(
 
 
 def solve_subproblem(
-    structure: Structure, settings: PIQP, model: Model, prices: Prices, limits: Limits
+    structure: Structure,
+    settings: PIQP,
+    model: Model,
+    damping: Damping,
+    prices: Prices,
+    limits: Limits,
 ) -> SubproblemSolution:
-    """The best step within the model; may be called under `jax.jit`.
+    """The best step of a damped model; may be called under `jax.jit`.
 
     Where the structure is not relaxed and the dynamics cannot be met within the limits,
-    the relaxed one is solved instead.
+    the relaxed one is solved instead, if the prices allow it.
     """
-    data = SubproblemData.of(model, prices, limits)
+    data = SubproblemData.of(model, damping, prices, limits)
     answer, unravel = ravel_pytree(SubproblemSolution.none(structure))
     # One vector each way: an array passed to the host costs as much as a thousand of
     # its numbers.
@@ -140,7 +159,7 @@ def _on_host(
     numbers = np.asarray(flat)
     solver = subproblem_solver(structure, settings, outline)
     answer, effort = solver(numbers)
-    if answer.solved or structure.relaxed:
+    if answer.solved or structure.relaxed or not solver.may_relax(numbers):
         return solver.read(answer, effort)
     with_virtual = dataclasses.replace(structure, relaxed=True)
     relaxed = subproblem_solver(with_virtual, settings, outline)

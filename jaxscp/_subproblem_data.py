@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._convexification import Curvature
-from ._model import Model
+from ._curvature import Curvature
+from ._damping import Damping
+from ._model import Model, cost_gradient
 from ._transcription import Derivatives, Residuals, Variables
 from ._types import Array, Float, Scalar
 
@@ -23,48 +24,65 @@ class Limits(eqx.Module):
 
 
 class Prices(eqx.Module):
-    """What a subproblem charges beyond the model's cost, all scaled.
+    """What a subproblem charges for virtual variables, all scaled.
 
-    - `proximal`: weight of half the squared step, the soft trust region.
-    - `virtual_control`: cost of virtual control, where there is any.
-    - `path`, `integral`: cost of virtual buffers.
+    - `virtual_control`: where there is any.
+    - `path`: of the virtual buffers of path constraints, which a node shares with the
+        interval behind it. `limit`: of those of the state's limits between the nodes,
+        where there are any. `integral`: of those of integrals.
     - `radius`: of the hard trust region, where there is one.
 
     And how exactly it is to be solved:
 
     - `precision`: absolute tolerance on residuals and duality gap.
+    - `relax`: whether virtual control may be bought where the dynamics cannot be met.
     """
 
-    proximal: Scalar
     virtual_control: Float[Array, "I n"]
     path: Float[Array, "N p"]
+    limit: Float[Array, "I e"]
     integral: Float[Array, " q"]
     radius: Scalar
     precision: Scalar
+    relax: Scalar
 
 
 class SubproblemData(eqx.Module):
-    """What travels to the host; the curvature has the proximal term in it."""
+    """What travels to the host.
+
+    - `curvature`, `gradient`: of the cost, the damping included.
+    - `of_totals`: second and, at zero, first derivatives by the integrals' totals.
+    """
 
     residuals: Residuals
     derivatives: Derivatives
     curvature: Curvature
     gradient: Variables
+    of_totals: tuple[Float[Array, " q"], Float[Array, " q"]]
     prices: Prices
     limits: Limits
 
     @classmethod
-    def of(cls, model: Model, prices: Prices, limits: Limits) -> "SubproblemData":
-        nodes, size, _ = model.curvature.blocks.shape
-        proximal = prices.proximal / nodes * jnp.eye(size)
-        curvature = Curvature(
-            model.curvature.blocks + proximal[None],
-            model.curvature.border,
-            # The flight time moves every node: it counts once for each of them.
-            model.curvature.corner + prices.proximal,
+    def of(
+        cls, model: Model, damping: Damping, prices: Prices, limits: Limits
+    ) -> "SubproblemData":
+        return cls(
+            model.residuals,
+            model.derivatives,
+            model.curvature.plus(damping.curvature(model)),
+            damped_gradient(model, damping),
+            damping.of_totals,
+            prices,
+            limits,
         )
-        linear = (model.residuals, model.derivatives)
-        return cls(*linear, curvature, model.gradient, prices, limits)
+
+
+def damped_gradient(model: Model, damping: Damping) -> Variables:
+    """First derivatives of the cost with its damping, where the step is zero."""
+    slope = cost_gradient(model.derivatives)
+    still = jax.tree.map(jnp.zeros_like, damping.step)
+    added = jax.grad(lambda step: damping.value(model, step))(still)
+    return jax.tree.map(jnp.add, slope, added)
 
 
 @dataclasses.dataclass(frozen=True)

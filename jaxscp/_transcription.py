@@ -9,16 +9,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._discretization import (
-    Discretization,
-    IntervalJacobians,
-    Intervals,
-    Quadrature,
-    integrand_rates,
-    linearize,
-    propagate,
-)
-from ._hold import ZeroOrderHold
+from ._discretization import Discretization
+from ._flow import Flow
+from ._intervals import IntervalJacobians, Intervals, linearize, propagate
+from ._peaks import Watch
+from ._per_constraint import PerConstraint
 from ._problem import OptimalControlProblem
 from ._trajectory import Trajectory
 from ._types import Array, Float, Scalar
@@ -38,12 +33,14 @@ class Residuals(eqx.Module):
     - `objective`: cost, in its own unit.
     - `defects`: next node minus the flow's end, state units.
     - `path`: all path constraints one after the other, g <= 0.
+    - `between`: peaks of limits and path constraints in each interval, likewise.
     - `increments`: growth of each integral and of the running cost in each interval.
     """
 
     objective: Scalar
     defects: Float[Array, "I n"]
     path: Float[Array, "N p"]
+    between: Float[Array, "I b"]
     increments: Float[Array, "I r"]
 
     @property
@@ -95,19 +92,34 @@ class Transcription(eqx.Module):
         return self.discretization.control_nodes(self.nodes)
 
     @property
+    def borrows_control(self) -> bool:
+        """Whether the last node has no control of its own, but that of the one before."""
+        return self.control_nodes < self.nodes
+
+    @property
     def grid(self) -> tuple[Float[Array, " I"], Float[Array, " I"]]:
         """Normalized start and width of each interval."""
         return self.fractions[:-1], jnp.diff(self.fractions)
 
     @property
-    def path_sizes(self) -> dict[str, int]:
-        """Entries of each path constraint."""
-        problem = self.problem
-        point = (self.fractions[0], problem.state.lower, problem.control.lower)
-        return {
-            name: int(jax.eval_shape(constraint, *point).size)
-            for name, constraint in problem.path_constraints.items()
-        }
+    def watch(self) -> Watch:
+        """What is enforced between the nodes, if anything is."""
+        return Watch.of(self.problem)
+
+    @property
+    def no_multipliers(self) -> PerConstraint:
+        """Zero for each constraint."""
+        intervals, watch = self.nodes - 1, self.watch
+        return PerConstraint(
+            dynamics=jnp.zeros((intervals, self.problem.state_size)),
+            path=jnp.zeros((self.nodes, watch.path)),
+            between=jnp.zeros((intervals, self.discretization.between * watch.size)),
+            integral=jnp.zeros(len(self.problem.integrals)),
+        )
+
+    def flow(self, substeps: Array | int) -> Flow:
+        """What carries the state through an interval."""
+        return Flow(self.problem, self.discretization, substeps)
 
     def variables(self, guess: Trajectory) -> Variables:
         """The guess with every limit and fixed boundary entry met."""
@@ -168,7 +180,7 @@ class Transcription(eqx.Module):
 
         def at_node(fraction, x, u):
             def path(x, u, time):
-                return self.path(time * fraction, x, u)
+                return self.problem.path(time * fraction, x, u)
 
             return jax.jacfwd(path, argnums=(0, 1, 2))(x, u, variables.final_time)
 
@@ -183,39 +195,25 @@ class Transcription(eqx.Module):
     def rough_totals(self, variables: Variables) -> Float[Array, " r"]:
         """Integrals and the cost from nodal values alone: good enough for scales."""
         times = variables.final_time * self.fractions
-        rates = jax.vmap(lambda t, x, u: integrand_rates(self.problem, t, x, u))(
+        rates = jax.vmap(self.problem.rates)(
             times, variables.states, self.nodal_controls(variables)
         )
         totals = 0.5 * jnp.diff(times) @ (rates[:-1] + rates[1:])
         terminal = self.problem.terminal_cost(variables.final_time, variables.states[-1])
         return totals.at[-1].add(terminal)
 
-    @property
-    def has_exact_hessian(self) -> bool:
-        """Whether [`lagrangian_hessian`][] knows this discretization."""
-        kind = self.discretization
-        return isinstance(kind.hold, ZeroOrderHold) and kind.quadrature is Quadrature.FLOW
-
     def _arguments(self, variables: Variables, substeps):
         return (
-            self.problem,
-            self.discretization,
-            substeps,
+            self.flow(substeps),
             self.grid,
             variables.states,
             self.nodal_controls(variables),
             variables.final_time,
         )
 
-    def path(self, t: Scalar, x: Array, u: Array) -> Float[Array, " p"]:
-        """All path constraints, one after the other, at one moment."""
-        constraints = self.problem.path_constraints.values()
-        values = [jnp.ravel(constraint(t, x, u)) for constraint in constraints]
-        return jnp.concatenate(values) if values else jnp.zeros(0, x.dtype)
-
     def _residuals(self, variables: Variables, intervals: Intervals) -> Residuals:
         states, final_time = variables.states, variables.final_time
-        path = jax.vmap(self.path)(
+        path = jax.vmap(self.problem.path)(
             final_time * self.fractions, states, self.nodal_controls(variables)
         )
         terminal = self.problem.terminal_cost(final_time, states[-1])
@@ -223,5 +221,6 @@ class Transcription(eqx.Module):
             objective=jnp.sum(intervals.increments[:, -1]) + terminal,
             defects=states[1:] - intervals.next_state,
             path=path,
+            between=intervals.between,
             increments=intervals.increments,
         )
