@@ -96,6 +96,7 @@ def start(
         stationary=jnp.array(False),
         failures=zero,
         optimality=jnp.asarray(jnp.inf),
+        near=jnp.array(False),
         finite=jnp.array(True),
     )
 
@@ -166,6 +167,7 @@ def advance(
     stationary: Array,
     iterations: Array,
     polish: Array,
+    near: Array,
 ) -> SCPState:
     """Take the step if it was accepted, and write it down either way.
 
@@ -208,6 +210,7 @@ def advance(
         records=state.records + 1,
         iterations=iterations,
         polish=polish,
+        near=near,
         subproblems=state.subproblems + effort.solves,
         qp_iterations=state.qp_iterations + effort.iterations,
         qp_seconds=state.qp_seconds + effort.seconds,

@@ -118,6 +118,7 @@ class PaperSCP(AbstractSCP):
             stationary=predicted <= self.tolerance,
             iterations=state.iterations + judgement.accepted,
             polish=state.polish,
+            near=state.near,
         )
 
     def _weights(self, transcription: Transcription, state: SCPState) -> PerConstraint:

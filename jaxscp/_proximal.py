@@ -57,7 +57,7 @@ class ProximalSCP(AbstractSCP):
 
     tolerance: float = eqx.field(static=True, default=1e-8)
     max_iterations: int = eqx.field(static=True, default=100)
-    max_polish: int = eqx.field(static=True, default=60)
+    max_polish: int = eqx.field(static=True, default=150)
     min_reduction: float = eqx.field(static=True, default=1e-7)
     feasibility_tolerance: float = eqx.field(static=True, default=1e-5)
     initial_weight: float = eqx.field(static=True, default=10.0)
@@ -72,10 +72,11 @@ class ProximalSCP(AbstractSCP):
     weight_factor: float = eqx.field(static=True, default=3.0)
     # Promised reduction below which remaining violations are there to stay.
     min_progress: float = eqx.field(static=True, default=1e-4)
-    # Residuals below which the multipliers are good enough for all of the curvature, and
-    # below which Newton's method needs no merit function.
+    # Residuals below which the multipliers are good enough for all of the curvature,
+    # below which Newton's method needs no merit function, and from which it finds back.
     close: float = eqx.field(static=True, default=0.1)
     near: float = eqx.field(static=True, default=1e-4)
+    far: float = eqx.field(static=True, default=1e-3)
     min_radius: float = eqx.field(static=True, default=1e-12)
     max_radius: float = eqx.field(static=True, default=1e6)
     max_failures: int = eqx.field(static=True, default=5)
@@ -100,42 +101,59 @@ class ProximalSCP(AbstractSCP):
         )
 
     def step(self, transcription: Transcription, state: SCPState) -> SCPState:
-        # Where the step before was refused, derivatives are still fresh.
-        refused = state.iterate.fresh
         iterate = linearized(transcription, state.scaling, state.iterate)
         gap = optimality(transcription, state.scaling, iterate, state.solution)
         begun = state.records > 0
-        state = dataclasses.replace(
+        after = dataclasses.replace(
             state,
             iterate=iterate,
             finite=is_finite(iterate),
             optimality=jnp.where(begun, gap.residual, jnp.inf),
         )
-        near = begun & self._is_near(state, gap)
-        radius = self._polishing_radius(transcription, gap)
-        radius = jnp.where(near & ~refused, radius, state.radius)
-        state = dataclasses.replace(state, radius=radius)
+        near = begun & self._is_near(after, gap)
+        radius = self._adapted_radius(transcription, state, after)
+        after = dataclasses.replace(
+            after, radius=jnp.where(near, radius, state.radius), near=near
+        )
         return jax.lax.cond(
-            state.optimality <= self.tolerance,
+            after.optimality <= self.tolerance,
             lambda state: state,
-            lambda state: self._iterate(transcription, state, near),
-            state,
+            lambda state: self._iterate(transcription, state),
+            after,
         )
 
     def _is_near(self, state: SCPState, gap: Optimality) -> Array:
-        """Whether Newton's method may be trusted without a merit function."""
-        small = (gap.stationarity <= self.near) & (gap.feasibility <= 10.0 * self.near)
+        """Whether Newton's method may be trusted without a merit function.
+
+        Once it is, also a little farther away: a long step along directions that the
+        cost hardly sees is worth the steps that take its side effects back.
+        """
+        limit = jnp.where(state.near, 10.0 * self.far, self.near)
+        small = (gap.stationarity <= limit) & (gap.feasibility <= 10.0 * limit)
         return small & self._uses_exact(state)
 
-    def _polishing_radius(self, transcription: Transcription, gap: Optimality) -> Scalar:
-        """Levenberg and Marquardt: a weight that vanishes with the residual.
+    def _adapted_radius(
+        self, transcription: Transcription, before: SCPState, after: SCPState
+    ) -> Scalar:
+        """The radius of polishing, from where it led the last time it was used in full."""
+        used = before.near & ~before.iterate.fresh
+        used &= self._trust(transcription, before) >= before.radius
+        change = jnp.where(after.optimality > self.far, 0.25, 1.0)
+        change = jnp.where(after.optimality < self.near, 3.0, change)
+        return before.radius * jnp.where(used, change, 1.0)
 
-        It converges fast, and does not stray along directions the cost hardly sees. One
-        step along these, as of a quadrotor's yaw, disturbs the others to second order:
-        a lighter weight takes that back.
+    def _trust(self, transcription: Transcription, state: SCPState) -> Scalar:
+        """The trust region's radius.
+
+        In polishing that of Levenberg and Marquardt as well, whose weight vanishes with
+        the residual: it converges fast, and hardly moves along directions that the cost
+        hardly sees, as of a quadrotor's yaw.
         """
-        share = jnp.where(gap.residual < 1e-6, 1.0, 0.3) * gap.residual
-        return jnp.minimum(1.0 / (share * transcription.nodes), self.max_radius)
+        residual = state.optimality
+        # Next to a solution along all others, those directions may be given way.
+        factor = jnp.where(residual < 0.1 * self.near, 0.01, 0.3)
+        newton = 1.0 / (factor * residual * transcription.nodes)
+        return jnp.where(state.near, jnp.minimum(state.radius, newton), state.radius)
 
     def _uses_exact(self, state: SCPState) -> Array:
         """Whether the next model has all of the curvature.
@@ -146,31 +164,29 @@ class ProximalSCP(AbstractSCP):
         sound = ~state.solution.effort.relaxed & (state.failures == 0)
         return sound & (state.optimality < self.close) & (self.curvature == "all")
 
-    def _iterate(
-        self, transcription: Transcription, state: SCPState, near: Array
-    ) -> SCPState:
+    def _iterate(self, transcription: Transcription, state: SCPState) -> SCPState:
         model = self._model(transcription, state)
-        damping = self._damping(transcription, state, model, near)
+        damping = self._damping(transcription, state, model)
         poor = jnp.asarray(self.correction_ratio if self.correction else -jnp.inf)
         found, judgement = search(
             transcription,
             state,
             model,
-            solve=lambda around: self._solve(
-                transcription, state, around, damping, near
-            ),
+            solve=lambda around: self._solve(transcription, state, around, damping),
             follow=lambda to: following(state.weights, to, state.ceiling),
             accept_ratio=self.accept_ratio,
             # Of a polishing step what counts is whether it stays feasible.
-            correction_ratio=jnp.where(near, -jnp.inf, poor),
-            feasibility=jnp.where(near & self.correction, 0.01 * state.optimality, jnp.inf),
+            correction_ratio=jnp.where(state.near, -jnp.inf, poor),
+            feasibility=jnp.where(
+                state.near & self.correction, 0.01 * state.optimality, jnp.inf
+            ),
         )
         # The exact penalty hides progress that is second order in the step.
-        harmless = judgement.actual >= -self.near * (1.0 + jnp.abs(judgement.reference))
-        trusted = near & found.best.solution.effort.solved & harmless
+        harmless = judgement.actual >= -self.far * (1.0 + jnp.abs(judgement.reference))
+        trusted = state.near & found.best.solution.effort.solved & harmless
         accepted = judgement.accepted | trusted
         judgement = dataclasses.replace(judgement, accepted=accepted)
-        return self._advance(transcription, state, found, judgement, near)
+        return self._advance(transcription, state, found, judgement)
 
     def _model(self, transcription: Transcription, state: SCPState) -> Model:
         iterate, multipliers = state.iterate, state.solution.multipliers
@@ -194,13 +210,13 @@ class ProximalSCP(AbstractSCP):
         return Model(iterate.residuals, iterate.derivatives, curvature)
 
     def _damping(
-        self, transcription: Transcription, state: SCPState, model: Model, near: Array
+        self, transcription: Transcription, state: SCPState, model: Model
     ) -> Damping:
         """The proximal term and, where the model is not convex, the hold of what is
         active."""
         last, exact = state.solution, self._uses_exact(state)
-        weight, nodes = 1.0 / state.radius, transcription.nodes
-        share = weight / nodes
+        weight = 1.0 / self._trust(transcription, state)
+        share = weight / transcription.nodes
 
         def hold(multiplier: Array) -> Array:
             size = jnp.abs(multiplier)
@@ -214,7 +230,7 @@ class ProximalSCP(AbstractSCP):
         step = Variables(
             hold(free) + share,
             hold(last.control) + share,
-            jnp.where(near, share, weight),
+            jnp.where(state.near, share, weight),
         )
         lower, upper = integral_limits(transcription, state.scaling)
         active = jnp.where(last.multipliers.integral > 0.0, upper, lower)
@@ -232,7 +248,6 @@ class ProximalSCP(AbstractSCP):
         state: SCPState,
         model: Model,
         damping: Damping,
-        near: Array,
     ) -> SubproblemSolution:
         residuals, ceiling = model.residuals, state.ceiling
         structure = Structure.of(transcription)
@@ -260,7 +275,7 @@ class ProximalSCP(AbstractSCP):
             return by_qp()
         nothing = SubproblemSolution.none(structure)
         nothing = eqx.tree_at(lambda s: s.effort.solved, nothing, jnp.array(False))
-        guessed = jax.lax.cond(near, by_guess, lambda: nothing)
+        guessed = jax.lax.cond(state.near, by_guess, lambda: nothing)
         return jax.lax.cond(guessed.effort.solved, lambda: guessed, by_qp)
 
     def _advance(
@@ -269,9 +284,8 @@ class ProximalSCP(AbstractSCP):
         state: SCPState,
         found: Search,
         judgement: Judgement,
-        near: Array,
     ) -> SCPState:
-        trial = found.best
+        trial, near = found.best, state.near
         limits = integral_limits(transcription, state.scaling)
         here = tree_where(judgement.accepted, trial.residuals, state.iterate.residuals)
         infeasible = worst_violation(here, limits) > self.feasibility_tolerance
@@ -283,7 +297,10 @@ class ProximalSCP(AbstractSCP):
         # Where violations outweigh the cost: within what a QP solver resolves.
         noise = 1e-9 * jnp.abs(judgement.reference)
         stationary = (promised <= least) | (judgement.predicted <= noise)
-        stationary = jnp.where(near, state.polish + 1 >= self.max_polish, stationary)
+        # Next to a solution a step along what the cost hardly sees promises nothing, yet
+        # leads to it.
+        hopeful = self._uses_exact(state) & (state.optimality <= self.far) & ~infeasible
+        stationary = jnp.where(hopeful, state.polish + 1 >= self.max_polish, stationary)
         stationary &= trial.solution.effort.solved
         cheap = stationary & bought & (state.ceiling < self.max_ceiling)
         ceiling = jnp.where(cheap, 10.0 * state.ceiling, state.ceiling)
@@ -294,19 +311,18 @@ class ProximalSCP(AbstractSCP):
             judgement,
             weights=found.weights,
             ceiling=ceiling,
-            radius=jnp.minimum(
-                self._next_radius(state, judgement, near), self.max_radius
-            ),
+            radius=jnp.minimum(self._next_radius(state, judgement), self.max_radius),
             stationary=stationary & (~infeasible | bought) & ~cheap,
             iterations=state.iterations + ~near,
             polish=state.polish + near,
+            near=near | (hopeful & (promised <= least)),
         )
 
-    def _next_radius(self, state: SCPState, judgement: Judgement, near: Array) -> Scalar:
+    def _next_radius(self, state: SCPState, judgement: Judgement) -> Scalar:
         ratio, factor = judgement.ratio, self.weight_factor
         change = jnp.where(ratio < self.poor_ratio, 1.0 / factor, 1.0)
         change = jnp.where(ratio > self.good_ratio, factor, change)
         # A model that is right so far is right farther out.
         change = jnp.where(jnp.abs(ratio - 1.0) < 0.15, 2.0 * factor, change)
         polishing = jnp.where(judgement.accepted, 1.0, 1.0 / factor**2)
-        return state.radius * jnp.where(near, polishing, change)
+        return state.radius * jnp.where(state.near, polishing, change)

@@ -73,6 +73,7 @@ class SCPState(eqx.Module):
     - `stationary`: no step within the model improves the penalized cost.
     - `failures`: subproblems left unsolved in a row.
     - `optimality`: residual of the optimality conditions, infinite until it is known.
+    - `near`: whether steps are taken without asking the penalized cost.
     - `finite`: whether the reference has finite values and derivatives.
     """
 
@@ -92,6 +93,7 @@ class SCPState(eqx.Module):
     stationary: Array
     failures: Array
     optimality: Scalar
+    near: Array
     finite: Array
 
 
