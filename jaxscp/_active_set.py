@@ -101,15 +101,17 @@ def _side(multiplier: Array, below: Array, above: Array) -> Array:
 def _rooms(model: Model, limits: Limits, step: Variables) -> tuple[PerLimit, PerLimit]:
     """The way to every lower and to every upper limit."""
     after = _after(model, step)
-    (low, high), moved = _ends(limits), step
+    low, high = _ends(limits)
     lowest, highest = limits.integral
-    unlimited = (jnp.full_like(rows, jnp.inf) for rows in (after.path, after.between))
     return (
         PerLimit(
-            jax.tree.map(jnp.subtract, moved, low), *unlimited, after.totals - lowest
+            jax.tree.map(jnp.subtract, step, low),
+            jnp.full_like(after.path, jnp.inf),
+            jnp.full_like(after.between, jnp.inf),
+            after.totals - lowest,
         ),
         PerLimit(
-            jax.tree.map(jnp.subtract, high, moved),
+            jax.tree.map(jnp.subtract, high, step),
             -after.path,
             -after.between,
             highest - after.totals,
@@ -159,15 +161,15 @@ def _with_active(
     weight = eqx.tree_at(
         lambda w: w.variables,
         weight,
-        eqx.tree_at(
-            lambda v: v.states, step, weight.variables.states.at[0].set(0.0)
-        ),
+        eqx.tree_at(lambda v: v.states, step, weight.variables.states.at[0].set(0.0)),
     )
     pull = Damping(
         weight.variables, weight.path, weight.between, weight.integral, targets, totals
     )
     squares = damping.curvature(model).plus(pull.curvature(model))
-    second, first = (a + b for a, b in zip(damping.of_totals, pull.of_totals, strict=True))
+    second, first = (
+        a + b for a, b in zip(damping.of_totals, pull.of_totals, strict=True)
+    )
     costates = jnp.zeros_like(last.multipliers.dynamics)
     pushes = jax.tree.map(jnp.zeros_like, sides)
     lagrangian = _Lagrangian(model, damping, sides)
@@ -254,14 +256,16 @@ class _Lagrangian(eqx.Module):
 
 def _forced(told: Variables, to_go: Variables, totals: int) -> Forced:
     """What the recursion does not choose: which variables, and what they are."""
-    own = told.controls.shape[0] == told.states.shape[0]
-    ends = []
-    for values, sums in ((told, jnp.ones(totals)), (to_go, jnp.zeros(totals))):
-        held_first = [values.controls[0]] if own else []
-        first = [values.states[0], *held_first, sums, values.final_time[None]]
-        ends.append((jnp.concatenate(first), values.controls[1 if own else 0 :]))
-    (told_first, decided), (first, decisions) = ends
-    return Forced((told_first, first), (decided, decisions))
+    own = int(told.controls.shape[0] == told.states.shape[0])
+
+    def first(values: Variables, sums: Array) -> Array:
+        held = values.controls[:own].ravel()
+        return jnp.concatenate([values.states[0], held, sums, values.final_time[None]])
+
+    return Forced(
+        (first(told, jnp.ones(totals)), first(to_go, jnp.zeros(totals))),
+        (told.controls[own:], to_go.controls[own:]),
+    )
 
 
 def _stepped(

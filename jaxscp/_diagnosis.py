@@ -19,12 +19,16 @@ class Violations(eqx.Module):
     - `dynamics`: virtual control: next node minus the flow's end, with its sign.
     - `path_constraints`: positive part of each, at each node.
     - `integrals`: what each is short of its lower limit, or beyond its upper one.
+    - `state_between`, `path_between`: how far state limits and path constraints are
+        exceeded within each interval; zero where they are not enforced there.
     - `scales`: of the states, the path constraints and the integrals.
     """
 
     dynamics: Float[Array, "I n"]
     path_constraints: dict[str, Float[Array, "N _"]]
     integrals: dict[str, Float[Array, ""]]
+    state_between: Float[Array, "I n"]
+    path_between: dict[str, Float[Array, "I _"]]
     scales: tuple[
         Float[Array, " n"],
         dict[str, Float[Array, " _"]],
@@ -56,33 +60,46 @@ def _violated(
     """The worst violation of each kind, relative to its scale, with a description."""
     times = np.asarray(trajectory.times)
     state_scale, path_scales, integral_scales = violations.scales
-    defects = np.abs(np.asarray(violations.dynamics))
-    relative = defects / np.asarray(state_scale)
-    node, entry = np.unravel_index(np.argmax(relative), relative.shape)
-    name = problem.state_names[entry]
-    yield (
-        float(relative[node, entry]),
-        f"virtual control moves {name} by {_amount(problem, name, defects[node, entry])}"
-        f" between nodes {node} and {node + 1} ({times[node]:.4g} s to"
-        f" {times[node + 1]:.4g} s)",
-    )
-    for name, broken in violations.path_constraints.items():
-        amounts = np.asarray(broken)
-        if amounts.size:
-            relative = amounts / np.asarray(path_scales[name])
-            node, entry = np.unravel_index(np.argmax(relative), relative.shape)
-            which = f"{name}[{entry}]" if amounts.shape[1] > 1 else name
-            yield (
-                float(relative[node, entry]),
-                f"{which} is broken by {_amount(problem, name, amounts[node, entry])}"
-                f" at node {node} ({times[node]:.4g} s)",
-            )
-    for name, broken in violations.integrals.items():
+
+    def between(row: int) -> str:
+        start, end = times[row : row + 2]
+        return f"between nodes {row} and {row + 1} ({start:.4g} s to {end:.4g} s)"
+
+    def at(row: int) -> str:
+        return f"at node {row} ({times[row]:.4g} s)"
+
+    for broken, verb, where in (
+        (violations.dynamics, "virtual control moves {} by", between),
+        (violations.state_between, "{} exceeds its limit by", between),
+    ):
+        relative, row, entry, value = _worst(broken, state_scale)
+        name = problem.state_names[entry]
+        amount = _amount(problem, name, value)
+        yield relative, f"{verb.format(name)} {amount} {where(row)}"
+    for by_name, where in (
+        (violations.path_constraints, at),
+        (violations.path_between, between),
+    ):
+        for name, broken in by_name.items():
+            if broken.size:
+                relative, row, entry, value = _worst(broken, path_scales[name])
+                which = f"{name}[{entry}]" if broken.shape[1] > 1 else name
+                amount = _amount(problem, name, value)
+                yield relative, f"{which} is broken by {amount} {where(row)}"
+    for name, missing in violations.integrals.items():
         yield (
-            float(broken / integral_scales[name]),
+            float(missing / integral_scales[name]),
             f"the integral {name} misses its limit by"
-            f" {_amount(problem, name, float(broken))}",
+            f" {_amount(problem, name, float(missing))}",
         )
+
+
+def _worst(broken: Array, scales: Array) -> tuple[float, int, int, float]:
+    """The largest entry relative to its scale: how large, its place, its amount."""
+    amounts = np.abs(np.asarray(broken))
+    relative = amounts / np.asarray(scales)
+    row, entry = np.unravel_index(np.argmax(relative), relative.shape)
+    return float(relative[row, entry]), int(row), int(entry), float(amounts[row, entry])
 
 
 def _amount(problem: OptimalControlProblem, name: str, value: float) -> str:

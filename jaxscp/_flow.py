@@ -38,7 +38,7 @@ class Span(eqx.Module):
         return self.final_time * self.width
 
     def moment(
-        self, hold: AbstractHold, fraction: Scalar
+        self, hold: AbstractHold, fraction: Array
     ) -> tuple[Scalar, Float[Array, " m"]]:
         """Time and control at a fraction of the interval."""
         t = self.final_time * (self.start + self.width * fraction)
@@ -150,7 +150,7 @@ class Flow(eqx.Module):
         index: Array | int,
         x: Float[Array, " n"],
         *,
-        reach: Scalar | float = 1.0,
+        reach: Array | float = 1.0,
         nudges: tuple[Array, ...] | None = None,
     ) -> Step:
         """One step; together they lead a share `reach` (0 to 1) into the interval.
@@ -159,7 +159,7 @@ class Flow(eqx.Module):
 
         - `nudges`: added to the rates at each stage.
         """
-        share, place = reach / self.substeps, x
+        share, place = jnp.asarray(reach) / self.substeps, x
         seconds = span.seconds * share
         slopes: list[Array] = []
         stages: list[Array] = []

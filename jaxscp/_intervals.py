@@ -99,8 +99,8 @@ def linearize(
 
     def interval(start, width, x, left, right):
         def ends(x, time, *held):
-            controls = held if two_sided else (held[0], right)
-            course = flow.over(Span(start, width, *controls, time), x)
+            ends = held[1] if two_sided else right
+            course = flow.over(Span(start, width, held[0], ends, time), x)
             values = (course.ending, course.growth, course.peaks.values.ravel())
             return jnp.concatenate(values)
 

@@ -85,8 +85,8 @@ def _of_path(
 ) -> Float[Array, "I p"]:
     """Multipliers of each path constraint, all parts of an interval together."""
     watch, parts = transcription.watch, transcription.discretization.between
-    by_part = between.reshape(between.shape[0], parts, watch.size if parts else 0)
-    return jnp.sum(by_part[:, :, watch.limits :], axis=1) if parts else 0.0
+    by_part = between.reshape(between.shape[0], parts, watch.size)
+    return jnp.sum(by_part[:, :, watch.limits :], axis=1)
 
 
 def lagrangian_hessian(
@@ -115,19 +115,16 @@ def _interval_blocks(transcription, variables, substeps, multipliers) -> Array:
         rates = jnp.broadcast_to(rates, (intervals, rates.size))
         weights = jnp.concatenate([weights, rates], axis=1)
     parts = transcription.discretization.between
-    pushes = multipliers.between.reshape(intervals, parts, -1 if parts else 0)
+    pushes = multipliers.between.reshape(intervals, parts, transcription.watch.size)
 
     def block(start, width, x, left, right, weights, pushes):
         span = Span(start, width, left, right, variables.final_time)
         return interval_hessian(flow, span, x, weights, pushes)
 
+    starts, widths = transcription.grid
+    left, right = controls[:-1], controls[1:]
     return jax.vmap(block)(
-        *transcription.grid,
-        variables.states[:-1],
-        controls[:-1],
-        controls[1:],
-        weights,
-        pushes,
+        starts, widths, variables.states[:-1], left, right, weights, pushes
     )
 
 

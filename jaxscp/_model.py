@@ -97,6 +97,4 @@ def exact_curvature(
 ) -> Curvature:
     """All of the Lagrangian's scaled curvature, convex or not."""
     physical = scaling.physical(multipliers)
-    return scaling.curvature(
-        lagrangian_hessian(transcription, point, substeps, physical)
-    )
+    return scaling.curvature(lagrangian_hessian(transcription, point, substeps, physical))

@@ -6,9 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._iteration import advance, is_finite, judge, linearized, start, try_step
 from ._constraints import integral_limits, penalized_cost
 from ._damping import Damping
+from ._iteration import advance, is_finite, judge, linearized, start, try_step
 from ._lagrangian import node_shares
 from ._layout import Structure
 from ._model import Model, nodewise_curvature

@@ -135,7 +135,7 @@ class ProximalSCP(AbstractSCP):
     def _adapted_radius(
         self, transcription: Transcription, before: SCPState, after: SCPState
     ) -> Scalar:
-        """The radius of polishing, from where it led the last time it was used in full."""
+        """The radius of polishing, from where it led when it was last used in full."""
         used = before.near & ~before.iterate.fresh
         used &= self._trust(transcription, before) >= before.radius
         change = jnp.where(after.optimality > self.far, 0.25, 1.0)

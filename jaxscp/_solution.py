@@ -26,6 +26,8 @@ class Multipliers(eqx.Module):
         that number.
     - `state`, `control`, `final_time`: of the limits, and of values fixed at one end,
         with the same signs.
+    - `state_between`, `path_between`: of state limits and path constraints within each
+        interval; zero where they are not enforced there.
     """
 
     dynamics: Float[Array, "I n"]
@@ -34,14 +36,16 @@ class Multipliers(eqx.Module):
     state: Float[Array, "N n"]
     control: Float[Array, "N m"]
     final_time: Scalar
+    state_between: Float[Array, "I n"]
+    path_between: dict[str, Float[Array, "I _"]]
 
 
 class Statistics(eqx.Module):
     """What a solve took.
 
     - `iterations`: as the method counts them. `polish_iterations`: those after them that
-        polished. `subproblems`: QPs solved, corrections and
-        relaxations included. `qp_iterations`: interior-point iterations in all of them.
+        polished. `subproblems`: those solved, corrections and relaxations included.
+        `qp_iterations`: interior-point iterations in all of them.
     - `substeps`: Runge-Kutta steps an interval at the end. `integration_error`: the
         error they leave, relative to the scales.
     - `qp_seconds`: time inside PIQP. `seconds`: the whole call, compilation included;

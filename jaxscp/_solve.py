@@ -9,19 +9,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._diagnosis import Violations
 from ._discretization import Discretization
-from ._constraints import integral_limits, violations
-from ._packed import Packed
+from ._outcome import outcome
 from ._problem import OptimalControlProblem
 from ._proximal import ProximalSCP
 from ._scp import AbstractSCP, run
-from ._solution import Multipliers, Solution, Statistics
-from ._state import SCPState
-from ._status import Status
+from ._solution import Solution
 from ._trajectory import Trajectory, straight_line
 from ._transcription import Transcription
-from ._types import Array, ArrayLike, Float, is_concrete
+from ._types import ArrayLike, is_concrete
 from ._validation import check_guess, check_precision, check_problem
 
 
@@ -112,71 +108,4 @@ def _run(
         transcription, guess = eqx.combine(arrays, rest)
         return run(method, transcription, transcription.variables(guess), progress)
 
-    return _solution(transcription, *one(arrays))
-
-
-def _named(transcription: Transcription, values: Array) -> dict[str, Array]:
-    """Columns of all path constraints, by their names."""
-    named, start = {}, 0
-    for name, size in transcription.problem.path_sizes.items():
-        named[name] = values[..., start : start + size]
-        start += size
-    return named
-
-
-def _solution(transcription: Transcription, state: SCPState, status: Status) -> Solution:
-    """The last iterate in physical units."""
-    problem, scaling, iterate = transcription.problem, state.scaling, state.iterate
-    names = tuple(problem.integrals)
-    totals = iterate.residuals.totals * scaling.integral
-    broken = violations(iterate.residuals, integral_limits(transcription, scaling))
-    missed = broken.integral * scaling.integral
-    return Solution(
-        packed_problem=Packed.of(problem),
-        discretization=transcription.discretization,
-        trajectory=transcription.trajectory(iterate.variables),
-        objective=iterate.residuals.objective * scaling.objective,
-        integrals=dict(zip(names, totals, strict=True)),
-        multipliers=_multipliers(transcription, state),
-        violations=Violations(
-            dynamics=iterate.residuals.defects * scaling.state[None],
-            path_constraints=_named(transcription, broken.path * scaling.path[None]),
-            integrals=dict(zip(names, missed, strict=True)),
-            scales=(
-                scaling.state,
-                _named(transcription, scaling.path),
-                dict(zip(names, scaling.integral, strict=True)),
-            ),
-        ),
-        status=status,
-        optimality=state.optimality,
-        history=state.history,
-        statistics=Statistics(
-            iterations=state.iterations,
-            polish_iterations=state.polish,
-            subproblems=state.subproblems,
-            qp_iterations=state.qp_iterations,
-            substeps=iterate.substeps,
-            integration_error=iterate.integration_error,
-            qp_seconds=state.qp_seconds,
-            seconds=jnp.asarray(jnp.nan),
-        ),
-    )
-
-
-def _multipliers(transcription: Transcription, state: SCPState) -> Multipliers:
-    """All multipliers, in physical units."""
-    scaling, solution = state.scaling, state.solution
-    size, names = scaling.objective, transcription.problem.integrals
-    physical = scaling.physical(solution.multipliers)
-    missing = transcription.nodes - transcription.control_nodes
-    control: Float[Array, "N m"] = jnp.pad(solution.control, ((0, missing), (0, 0)))
-    return Multipliers(
-        # A defect is the next node minus the flow: pushing the flow is its negative.
-        dynamics=-physical.dynamics,
-        path_constraints=_named(transcription, physical.path),
-        integrals=dict(zip(names, physical.integral, strict=True)),
-        state=solution.state * size / scaling.state[None],
-        control=control * size / scaling.control[None],
-        final_time=solution.final_time * size / scaling.time,
-    )
+    return outcome(transcription, *one(arrays))
