@@ -14,7 +14,7 @@ import pytest
 
 import jaxscp
 from jaxscp import Bounds, Integral, OptimalControlProblem
-from jaxscp._model import (
+from jaxscp._constraints import (
     integral_limits,
     penalized_cost,
     violations,
