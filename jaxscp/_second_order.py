@@ -128,7 +128,8 @@ class _StepHessian(eqx.Module):
         mixed = jnp.outer(jnp.zeros_like(v).at[-1].set(1.0 / v[-1]), moved)
         hessian += mixed + mixed.T
         if self.push.size:
-            hessian += self._of_peaks(points[4:], tangents[4:])
+            if self.flow.watch.path:
+                hessian += self._of_peaks(points[4:], tangents[4:])
             hessian += self._of_moments(span, step, shares, tilts)
         return gradient, hessian, by_v
 
