@@ -149,8 +149,8 @@ def _with_active(
 
     Variables at the first node, controls and the flight time are forced to their limits;
     the other constraints are pulled to theirs by squares of great weight and, as those
-    alone leave a gap, by multipliers that grow with it. Each pass starts from what the
-    one before has left of every condition.
+    alone leave a gap, by multipliers: those of the step before, which grow with the gap.
+    Each pass starts from what the one before has left of every condition.
     """
     targets = jax.tree.map(_resting, sides.variables, *_ends(limits))
     totals = _resting(sides.integral, *limits.integral)
@@ -171,7 +171,12 @@ def _with_active(
         a + b for a, b in zip(damping.of_totals, pull.of_totals, strict=True)
     )
     costates = jnp.zeros_like(last.multipliers.dynamics)
-    pushes = jax.tree.map(jnp.zeros_like, sides)
+    # What pulls, pulls as hard as last time.
+    pushes = jax.tree.map(
+        lambda weight, push: jnp.where(weight > 0.0, push, 0.0),
+        weight,
+        PerLimit.multipliers(last),
+    )
     lagrangian = _Lagrangian(model, damping, sides)
     factors: Factors | None = None
     for _ in range(_PASSES):

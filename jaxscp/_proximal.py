@@ -78,7 +78,7 @@ class ProximalSCP(AbstractSCP):
     near: float = eqx.field(static=True, default=1e-4)
     far: float = eqx.field(static=True, default=1e-3)
     min_radius: float = eqx.field(static=True, default=1e-12)
-    max_radius: float = eqx.field(static=True, default=1e6)
+    max_radius: float = eqx.field(static=True, default=1e9)
     max_failures: int = eqx.field(static=True, default=5)
     # Price of virtual variables: above any likely multiplier, raised if it is not.
     initial_ceiling: float = eqx.field(static=True, default=1e2)
@@ -200,7 +200,7 @@ class ProximalSCP(AbstractSCP):
         def exact():
             # Half the steps tell the curvature well enough to converge fast.
             least = transcription.discretization.least_substeps
-            rough = jnp.maximum((iterate.substeps + 1) // 2, least)
+            rough = iterate.substeps if transcription.discretization.between else jnp.maximum((iterate.substeps + 1) // 2, least)
             return exact_curvature(*point, rough, multipliers)
 
         if self.curvature == "all":

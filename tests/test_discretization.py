@@ -15,8 +15,10 @@ from scipy.integrate import quad, solve_ivp
 from scipy.linalg import expm
 
 from jaxscp import Bounds, FirstOrderHold, OptimalControlProblem, ZeroOrderHold, missions
-from jaxscp._discretization import Discretization, Quadrature, flow_within
+from jaxscp._discretization import Discretization, Quadrature
+from jaxscp._flow import Flow, Span
 from jaxscp._lagrangian import nodal_curvature
+from jaxscp._per_constraint import PerConstraint
 from jaxscp._problem import Integral
 from jaxscp._transcription import Residuals, Transcription, Variables
 
@@ -70,10 +72,11 @@ def costly_pendulum() -> OptimalControlProblem:
     )
 
 
-def transcribed(problem, fractions, hold=ZERO_ORDER, quadrature=Quadrature.FLOW):
-    return Transcription(
-        problem, Discretization(hold, quadrature), jnp.asarray(fractions)
-    )
+def transcribed(
+    problem, fractions, hold=ZERO_ORDER, quadrature=Quadrature.FLOW, between=0
+):
+    discretization = Discretization(hold, quadrature, between)
+    return Transcription(problem, discretization, jnp.asarray(fractions))
 
 
 def point(transcription, final_time=2.5, seed=0) -> Variables:
@@ -160,26 +163,44 @@ def test_order_four_and_time_in_seconds(hold):
 
 
 def test_the_state_within_an_interval():
-    problem = problem_of(linear, 3, 2)
-    start, u = (
+    flow = Flow(problem_of(linear, 3, 2), Discretization(FIRST_ORDER), 200)
+    start, left, right = (
         jnp.array([1.0, -0.5, 2.0]),
-        (jnp.array([0.5, -1.0]), jnp.array([2.0, 0.0])),
+        jnp.array([0.5, -1.0]),
+        jnp.array([2.0, 0.0]),
     )
-    span, final_time = (jnp.array(0.2), jnp.array(0.3)), jnp.array(2.5)
     # A share of 0.4 of an interval of 0.75 s.
+    span = Span(jnp.array(0.2), jnp.array(0.3), left, right, jnp.array(2.5))
     transition, constant, ramp = exponential(0.3)
-    middle = flow_within(
-        problem,
-        Discretization(FIRST_ORDER),
-        200,
-        span,
-        start,
-        u,
-        final_time,
-        jnp.array(0.4),
-    )
-    rise = (u[1] - u[0]) / 0.75
-    assert_allclose(middle, transition @ start + constant @ u[0] + ramp @ rise, atol=1e-9)
+    middle = flow.along(span, start, jnp.array(0.4))
+    rise = (right - left) / 0.75
+    assert_allclose(middle, transition @ start + constant @ left + ramp @ rise, atol=1e-9)
+
+
+@every_hold
+def test_the_state_within_a_step(hold):
+    """Of third order, locally four, between the ends; those are the step's own."""
+    flow = Flow(problem_of(pendulum, 2, 1), Discretization(hold), 1)
+    x, u = jnp.array([0.5, -1.0]), jnp.array([0.5])
+    rise = 1.5 if hold is FIRST_ORDER else 0.0
+    shares, lengths, errors = np.array([0.2, 0.5, 0.8]), [0.08, 0.04, 0.02, 0.01], []
+    for length in lengths:
+        right = u + 1.5 * length
+        span = Span(jnp.array(0.3), jnp.array(length), u, right, jnp.array(1.0))
+        step = flow.step(span, 0, x)
+
+        def rate(t, x):
+            return pendulum(t, x, np.asarray(u) + rise * (t - 0.3), np)
+
+        times = 0.3 + np.append(shares, 1.0) * length
+        precise = {"method": "DOP853", "rtol": 1e-13, "atol": 1e-13, "t_eval": times}
+        exact = solve_ivp(rate, (0.3, times[-1]), x, **precise).y[:, :-1]
+        found = jnp.stack([step.within(share) for share in jnp.asarray(shares)], axis=1)
+        errors.append(np.linalg.norm(found - exact, axis=0))
+        assert_allclose(step.within(jnp.array(0.0)), x, rtol=1e-14)
+        assert_allclose(step.within(jnp.array(1.0)), step.ending, rtol=1e-14)
+    order = np.polyfit(np.log(lengths), np.log(errors), 1)[0]
+    assert np.all((order > 3.8) & (order < 4.3)), order
 
 
 @eqx.filter_jit
@@ -364,7 +385,7 @@ def test_free_controls(hold, quadrature, free):
     assert_allclose(nodal[:free], variables.controls)
     # The last free one is held to the end.
     assert_allclose(nodal[-1], variables.controls[-1])
-    assert transcription.path_sizes == {"disc": 1, "pair": 2}
+    assert transcription.problem.path_sizes == {"disc": 1, "pair": 2}
 
 
 @pytest.mark.parametrize(
@@ -374,11 +395,22 @@ def test_free_controls(hold, quadrature, free):
         ({"tolerance": float("nan")}, "tolerance=nan"),
         ({"min_substeps": 0}, "need 1 <= min_substeps <= max_substeps"),
         ({"min_substeps": 9, "max_substeps": 8}, "min_substeps=9, max_substeps=8"),
+        ({"between": -1}, "between=-1: give the parts of an interval to watch, or 0"),
+        (
+            {"between": 5, "max_substeps": 8},
+            "between=5: needs two substeps a part, and max_substeps is 8; raise it",
+        ),
     ],
 )
 def test_bad_settings(settings, message):
     with pytest.raises(ValueError, match=message):
         Discretization(**settings)
+
+
+def test_each_part_that_is_watched_has_two_substeps():
+    assert Discretization().least_substeps == 2
+    assert Discretization(between=4, max_substeps=8).least_substeps == 8
+    assert Discretization(between=4, min_substeps=9).least_substeps == 9
 
 
 def test_limits_of_the_nodes():
@@ -407,13 +439,15 @@ def test_limits_of_the_nodes():
 
 
 @eqx.filter_jit
-def curvature(transcription, variables, rate_weights, path_weights):
-    return nodal_curvature(transcription, variables, rate_weights, path_weights)
+def curvature(transcription, variables, multipliers):
+    return nodal_curvature(transcription, variables, multipliers)
 
 
-def weights_of(transcription, seed=1):
+def multipliers_of(transcription, seed=1) -> PerConstraint:
     draw = np.random.default_rng(seed).normal
-    return jnp.asarray(draw(size=3)), jnp.asarray(draw(size=(transcription.nodes, 3)))
+    return jax.tree.map(
+        lambda leaf: jnp.asarray(draw(size=leaf.shape)), transcription.no_multipliers
+    )
 
 
 def nodal_sum(transcription, variables, rate_weights, path_weights, shares):
@@ -432,9 +466,17 @@ def nodal_sum(transcription, variables, rate_weights, path_weights, shares):
 
 
 def test_curvature_is_the_hessian_of_the_nodal_sum():
-    transcription = transcribed(costly_pendulum(), UNEVEN, FIRST_ORDER)
+    inf = np.inf
+    limits = Bounds([-inf, -9.0], [5.0, 9.0])
+    problem = eqx.tree_at(lambda p: p.state, costly_pendulum(), limits)
+    transcription = transcribed(problem, UNEVEN, FIRST_ORDER, between=2)
     variables = point(transcription)
-    weights = weights_of(transcription)
+    multipliers = multipliers_of(transcription)
+    rate_weights = jnp.append(multipliers.integral, 1.0)
+    # Two parts of three limits, then three path constraints, that count where the
+    # interval begins.
+    between = multipliers.between[:, 3:6] + multipliers.between[:, 9:12]
+    path_weights = multipliers.path.at[:-1].add(between)
     # Seconds of each node: half of the intervals at its sides.
     shares = np.array([0.025, 0.15, 0.15, 0.25, 0.325, 0.1])
 
@@ -442,16 +484,21 @@ def test_curvature_is_the_hessian_of_the_nodal_sum():
     def hessian(states, controls):
         def total(states, controls):
             there = Variables(states, controls, variables.final_time)
-            return nodal_sum(transcription, there, *weights, shares)
+            return nodal_sum(transcription, there, rate_weights, path_weights, shares)
 
         return jax.hessian(total, argnums=(0, 1))(states, controls)
 
     (xx, xu), (_, uu) = hessian(variables.states, variables.controls)
-    blocks = curvature(transcription, variables, *weights)
-    for k in range(6):
-        assert_allclose(blocks[k, :2, :2], xx[k, :, k], atol=1e-12)
-        assert_allclose(blocks[k, :2, 2:], xu[k, :, k], atol=1e-12)
-        assert_allclose(blocks[k, 2:, 2:], uu[k, :, k], atol=1e-12)
+    found = curvature(transcription, variables, multipliers)
+    for k, block in enumerate(found.blocks):
+        assert_allclose(block[:2, :2], xx[k, :, k], atol=1e-12)
+        assert_allclose(block[:2, 2:], xu[k, :, k], atol=1e-12)
+        assert_allclose(block[2:, 2:], uu[k, :, k], atol=1e-12)
+    # It knows neither the flight time nor the next node.
+    assert not np.any(found.border)
+    assert not np.any(found.corner)
+    assert not np.any(found.ahead)
+    assert found.tail is None
 
 
 def test_curvature_under_a_zero_order_hold():
@@ -467,28 +514,26 @@ def test_curvature_under_a_zero_order_hold():
         pendulum, 2, 1, running_cost=cost, terminal_cost=lambda t, x: 4.0 * x[1] ** 2
     )
     transcription = transcribed(problem, UNEVEN)
-    weights = jnp.array([2.0]), jnp.zeros((6, 0))
-    blocks = curvature(transcription, point(transcription, 3.0), *weights)
+    multipliers = transcription.no_multipliers
+    found = curvature(transcription, point(transcription, 3.0), multipliers)
     of_state = 3.0 * np.array([0.025, 0.15, 0.15, 0.25, 0.325, 0.1])
     of_control = 3.0 * np.array([0.05, 0.25, 0.05, 0.45, 0.2, 0.0])
     for k in range(6):
-        expected = 2.0 * np.block(
-            [
-                [of_state[k] * Q, np.sqrt(of_state[k] * of_control[k]) * S],
-                [np.sqrt(of_state[k] * of_control[k]) * S.T, of_control[k] * R],
-            ]
-        )
+        mixed = np.sqrt(of_state[k] * of_control[k]) * S
+        expected = np.block([[of_state[k] * Q, mixed], [mixed.T, of_control[k] * R]])
         if k == 5:
-            expected[1, 1] += 2.0 * 8.0
-        assert_allclose(blocks[k], expected, atol=1e-12)
+            expected[1, 1] += 8.0
+        assert_allclose(found.blocks[k], expected, atol=1e-12)
+    assert found.ahead is None
+    assert not np.any(found.tail)
 
 
 @given(st.integers(0, 2**32 - 1), st.floats(0.1, 50.0), st.sampled_from(list(Quadrature)))
 def test_curvature_is_symmetric(seed, final_time, quadrature):
     transcription = transcribed(costly_pendulum(), UNEVEN, ZERO_ORDER, quadrature)
     variables = point(transcription, final_time, seed)
-    weights = weights_of(transcription, seed)
-    blocks = np.asarray(curvature(transcription, variables, *weights))
+    multipliers = multipliers_of(transcription, seed)
+    blocks = np.asarray(curvature(transcription, variables, multipliers).blocks)
     assert_allclose(blocks, np.swapaxes(blocks, 1, 2), rtol=1e-12, atol=1e-12)
     held = transcription.control_nodes < transcription.nodes
     assert np.all(blocks[-1, 2] == 0.0) == held

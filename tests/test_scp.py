@@ -193,7 +193,7 @@ def test_ratio_tends_to_one_as_the_radius_shrinks(name):
         start = step(method, TRANSCRIPTION, start)
     misses = []
     for radius in (1e-1, 1e-2, 1e-3, 1e-4):
-        state = eqx.tree_at(lambda s: s.radius, start, jnp.array(radius))
+        state = eqx.tree_at(lambda s: s.radius, start, jnp.asarray(radius, float))
         after = step(method, TRANSCRIPTION, state)
         misses.append(abs(1.0 - float(after.history.ratio[int(state.records)])))
     assert misses[-1] < 1e-2
@@ -212,9 +212,9 @@ def test_a_stationary_point_predicts_nothing(states):
 
 def test_penalty_counts_each_violation_once():
     """The exact penalty by hand, from residuals of known size."""
-    discretization = jaxscp.Discretization(between=1)
-    transcription = Transcription(PROBLEM, discretization, GUESS.fractions)
-    residuals = transcription.evaluate(transcription.variables(GUESS), 4)
+    residuals = TRANSCRIPTION.evaluate(TRANSCRIPTION.variables(GUESS), 4)
+    peaks = np.random.default_rng(0).normal(size=(NODES - 1, 5))
+    residuals = eqx.tree_at(lambda r: r.between, residuals, jnp.asarray(peaks))
     limits = jnp.array([-1.0]), jnp.array([jnp.inf])
     broken = violations(residuals, limits)
     weights = jax.tree.map(jnp.ones_like, broken)
@@ -222,9 +222,7 @@ def test_penalty_counts_each_violation_once():
     expected = float(residuals.objective)
     expected += float(np.abs(np.asarray(residuals.defects)).sum())
     expected += float(np.maximum(np.asarray(residuals.path), 0).sum())
-    peaks = np.maximum(np.asarray(residuals.between), 0).sum()
-    assert peaks > 0.3
-    expected += float(peaks)
+    expected += float(np.maximum(peaks, 0).sum())
     expected += max(-1.0 - total, 0.0)
     assert float(penalized_cost(residuals, limits, weights)) == pytest.approx(expected)
 
@@ -233,7 +231,7 @@ def test_paper_trust_region_holds_at_every_node():
     """Eq. 19 with infinity norms, in scaled variables."""
     method = METHODS["paper"]
     state = begin(method, TRANSCRIPTION)
-    state = eqx.tree_at(lambda s: s.radius, state, jnp.array(0.05))
+    state = eqx.tree_at(lambda s: s.radius, state, jnp.asarray(0.05, float))
     taken: Variables = step(method, TRANSCRIPTION, state).solution.step
     size = jnp.max(jnp.abs(taken.states), axis=1) + jnp.abs(taken.final_time)
     size = size.at[:-1].add(jnp.max(jnp.abs(taken.controls), axis=1))

@@ -1,6 +1,6 @@
 """The exact Hessian, what makes it convex, and the conditions it serves."""
 
-import functools
+import itertools
 
 import equinox as eqx
 import jax
@@ -11,12 +11,13 @@ from numpy.testing import assert_allclose
 
 import jaxscp
 from jaxscp import Bounds, OptimalControlProblem
-from jaxscp._convexification import Curvature, convexified
-from jaxscp._discretization import Discretization, Jacobian, Quadrature
-from jaxscp._hold import FirstOrderHold
+from jaxscp._curvature import Curvature, convex_part
+from jaxscp._discretization import Discretization, Quadrature
+from jaxscp._hold import FirstOrderHold, ZeroOrderHold
 from jaxscp._lagrangian import lagrangian_hessian
 from jaxscp._layout import Structure
 from jaxscp._optimality import optimality
+from jaxscp._per_constraint import PerConstraint
 from jaxscp._problem import Integral
 from jaxscp._scaling import automatic_scaling
 from jaxscp._state import Iterate
@@ -24,7 +25,7 @@ from jaxscp._subproblem import SubproblemSolution
 from jaxscp._transcription import Transcription, Variables
 
 FRACTIONS = jnp.array([0.0, 0.2, 0.45, 0.7, 1.0])
-INTERVALS, SUBSTEPS = 4, 3
+NODES, SUBSTEPS = 5, 4
 
 
 def swing(t, x, u):
@@ -47,122 +48,96 @@ def problem() -> OptimalControlProblem:
     )
 
 
-@functools.cache
-def point() -> tuple[Transcription, Variables]:
-    draw = np.random.default_rng(0).normal
-    transcription = Transcription(problem(), Discretization(), FRACTIONS)
-    states, controls = draw(size=(5, 2)), draw(size=(4, 1))
-    return transcription, Variables(
-        jnp.asarray(states), jnp.asarray(controls), jnp.asarray(2.3)
+def transcribed(hold, quadrature, between) -> Transcription:
+    discretization = Discretization(hold, quadrature, between)
+    return Transcription(problem(), discretization, FRACTIONS)
+
+
+def drawn(transcription) -> tuple[Variables, PerConstraint]:
+    """A random point, and random multipliers."""
+    draw, free = np.random.default_rng(0).normal, transcription.control_nodes
+    states, controls = draw(size=(NODES, 2)), draw(size=(free, 1))
+    variables = Variables(jnp.asarray(states), jnp.asarray(controls), jnp.array(2.3))
+    multipliers = jax.tree.map(
+        lambda leaf: jnp.asarray(draw(size=leaf.shape)), transcription.no_multipliers
+    )
+    return variables, multipliers
+
+
+def flat(variables: Variables) -> jax.Array:
+    """Node by node, then the flight time; where there is no control, zero."""
+    missing = variables.states.shape[0] - variables.controls.shape[0]
+    controls = jnp.pad(variables.controls, ((0, missing), (0, 0)))
+    nodes = jnp.concatenate([variables.states, controls], axis=1)
+    return jnp.append(nodes.ravel(), variables.final_time)
+
+
+def unflat(transcription, vector) -> Variables:
+    nodes, free = vector[:-1].reshape(NODES, 3), transcription.control_nodes
+    return Variables(nodes[:, :2], nodes[:free, 2:], vector[-1])
+
+
+def whole(curvature: Curvature) -> np.ndarray:
+    """All of a Hessian in the order of `flat`, from the meaning of each block."""
+    nodes, w, _ = curvature.blocks.shape
+    last = nodes * w
+    matrix = np.zeros((last + 1, last + 1))
+
+    def place(rows, columns, block):
+        matrix[rows, columns] += block
+        matrix[columns, rows] += np.asarray(block).T
+
+    for k in range(nodes):
+        here = slice(k * w, (k + 1) * w)
+        matrix[here, here] += curvature.blocks[k]
+        place(here, slice(last, None), curvature.border[k][:, None])
+        if curvature.ahead is not None and k + 1 < nodes:
+            end = (k + 2) * w
+            size = curvature.ahead.shape[2]
+            place(here, slice(end - size, end), curvature.ahead[k])
+    if curvature.tail is not None:
+        m, n = curvature.tail.shape
+        control, state = slice(last - w - m, last - w), slice(last - w, last - w + n)
+        place(control, state, curvature.tail)
+    matrix[-1, -1] = curvature.corner
+    return matrix
+
+
+@eqx.filter_jit
+def exact(transcription, variables, multipliers) -> Curvature:
+    return lagrangian_hessian(
+        transcription, variables, jnp.asarray(SUBSTEPS), multipliers
     )
 
 
-def test_the_hessian_is_that_of_the_lagrangian():
+def lagrangian(transcription, multipliers, vector):
+    found = transcription.evaluate(unflat(transcription, vector), jnp.asarray(SUBSTEPS))
+    return (
+        found.objective
+        + jnp.vdot(multipliers.integral, found.totals)
+        + jnp.vdot(multipliers.dynamics, found.defects)
+        + jnp.vdot(multipliers.path, found.path)
+        + jnp.vdot(multipliers.between, found.between)
+    )
+
+
+every_discretization = pytest.mark.parametrize(
+    ("hold", "quadrature"),
+    list(itertools.product([ZeroOrderHold(), FirstOrderHold()], Quadrature)),
+    ids=lambda part: part.value if isinstance(part, Quadrature) else type(part).__name__,
+)
+
+
+@every_discretization
+def test_the_hessian_is_that_of_the_lagrangian(hold, quadrature):
     """Against forward derivatives of the whole discrete problem, twice."""
-    transcription, variables = point()
-    draw = np.random.default_rng(1).normal
-    costates, rates = draw(size=(INTERVALS, 2)), np.array([0.7, 1.3])
-    path = draw(size=(5, 1))
-    blocks = lagrangian_hessian(
-        transcription,
-        variables,
-        jnp.asarray(SUBSTEPS),
-        *map(jnp.asarray, (costates, rates, path)),
-    )
-
-    def lagrangian(flat):
-        states, controls = flat[:10].reshape(5, 2), flat[10:14].reshape(4, 1)
-        found = transcription.evaluate(
-            Variables(states, controls, flat[-1]), jnp.asarray(SUBSTEPS)
-        )
-        cost = rates[1] * found.objective + rates[0] * found.totals[0]
-        return cost + jnp.vdot(costates, found.defects) + jnp.vdot(path, found.path)
-
-    flat = jnp.concatenate(
-        [variables.states.ravel(), variables.controls.ravel(), variables.final_time[None]]
-    )
-    whole = np.asarray(jax.jit(jax.jacfwd(jax.jacfwd(lagrangian)))(flat))
-    built = np.zeros((15, 15))
-    for k in range(5):
-        # The last node has no control of its own: its path constraint borrows one.
-        places = [2 * k, 2 * k + 1, 10 + min(k, 3), 14]
-        built[np.ix_(places, places)] += blocks[k]
-    assert_allclose(built, whole, rtol=1e-9, atol=1e-9)
-
-
-def flow_of(seed: int, n: int = 3, m: int = 2) -> Jacobian:
-    draw = np.random.default_rng(seed).normal
-    return Jacobian(
-        left_state=jnp.asarray(np.eye(n) + 0.3 * draw(size=(INTERVALS, n, n))),
-        left_control=jnp.asarray(draw(size=(INTERVALS, n, m))),
-        time=jnp.asarray(draw(size=(INTERVALS, n))),
-    )
-
-
-def along_the_flow(flow, seed):
-    """A random step that meets the linearized dynamics, as arrays."""
-    n, m = flow.left_control.shape[1:]
-    draw = np.random.default_rng(seed).normal
-    time, states, controls = draw(), [np.zeros(n)], draw(size=(INTERVALS, m))
-    for k in range(INTERVALS):
-        ahead = flow.left_state[k] @ states[-1] + flow.left_control[k] @ controls[k]
-        states.append(np.asarray(ahead + flow.time[k] * time))
-    return np.array(states), controls, time
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_convexification_keeps_the_form_along_the_dynamics(seed):
-    """What is taken from one interval and given to the next cancels."""
-    n, m = 3, 2
-    flow, draw = flow_of(seed), np.random.default_rng(seed + 50).normal
-    hessian = draw(size=(INTERVALS + 1, n + m + 1, n + m + 1))
-    hessian = hessian + np.swapaxes(hessian, 1, 2)  # indefinite
-    hessian[:, n : n + m, n : n + m] += 900.0 * np.eye(m)  # but not along the controls
-    hessian[:-1, -1, -1] += 400.0
-    fixed = np.zeros((INTERVALS + 1, n), bool)
-    fixed[0] = True
-    curvature, _ = convexified(jnp.asarray(hessian), flow, fixed, jnp.asarray(1e-6))
-    states, controls, time = along_the_flow(flow, seed + 100)
-    padded = np.vstack([controls, np.zeros((1, m))])
-    z = np.hstack([states, padded])
-    whole = np.hstack([z, np.full((INTERVALS + 1, 1), time)])
-    exact = 0.5 * np.einsum("ki,kij,kj->", whole, hessian, whole)
-    assert float(curvature.along(jnp.asarray(z), jnp.asarray(time))) == pytest.approx(
-        exact, rel=1e-9
-    )
-    assert np.linalg.eigvalsh(hessian).min() < -1.0
-
-
-@pytest.mark.parametrize("shift", [0.0, 5.0])
-def test_convexified_blocks_are_convex(shift):
-    n, m = 3, 2
-    flow, draw = flow_of(7), np.random.default_rng(8).normal
-    hessian = draw(size=(INTERVALS + 1, n + m + 1, n + m + 1))
-    hessian = hessian + np.swapaxes(hessian, 1, 2) + shift * np.eye(n + m + 1)
-    fixed = np.zeros((INTERVALS + 1, n), bool)
-    curvature, transfers = convexified(
-        jnp.asarray(hessian), flow, fixed, jnp.asarray(1e-3)
-    )
-    assert np.isfinite(transfers).all()
-    size = (INTERVALS + 1) * (n + m)
-    whole = np.zeros((size + 1, size + 1))
-    for k in range(INTERVALS + 1):
-        here = slice(k * (n + m), (k + 1) * (n + m))
-        whole[here, here] = curvature.blocks[k]
-        whole[here, -1] = whole[-1, here] = curvature.border[k]
-    whole[-1, -1] = curvature.corner
-    assert np.linalg.eigvalsh(whole).min() > -1e-9 * np.abs(whole).max()
-
-
-def test_half_the_quadratic_form():
-    curvature = Curvature(
-        jnp.asarray([[[2.0, 1.0], [1.0, 4.0]]]),
-        jnp.asarray([[3.0, 0.0]]),
-        jnp.asarray(5.0),
-    )
-    # Half of 2 + 2*2 + 16, then 2 * 3, then half of 5 * 4.
-    z = jnp.asarray([[1.0, 2.0]])
-    assert float(curvature.along(z, jnp.asarray(2.0))) == pytest.approx(11 + 6 + 10)
+    transcription = transcribed(hold, quadrature, between=0)
+    variables, multipliers = drawn(transcription)
+    twice = jax.jacfwd(jax.jacfwd(lagrangian, argnums=2), argnums=2)
+    expected = eqx.filter_jit(twice)(transcription, multipliers, flat(variables))
+    found = whole(exact(transcription, variables, multipliers))
+    assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    assert (quadrature is Quadrature.FLOW) == bool(np.any(found[:2, 2]))
 
 
 def double_integrator() -> OptimalControlProblem:
