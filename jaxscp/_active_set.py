@@ -91,8 +91,8 @@ def active_set_step(
 
 def _side(multiplier: Array, below: Array, above: Array) -> Array:
     """The limit a constraint rests on: 1 the upper, -1 the lower, 0 neither."""
-    upper = (multiplier > jnp.maximum(above, 0.0) + _TIGHT) | (above < -_TIGHT)
-    lower = (-multiplier > jnp.maximum(below, 0.0) + _TIGHT) | (below < -_TIGHT)
+    upper = multiplier - above > _TIGHT
+    lower = -multiplier - below > _TIGHT
     # Between limits that coincide it rests on both.
     fixed = below + above <= 0.0
     return jnp.where(upper | fixed, 1.0, jnp.where(lower, -1.0, 0.0))

@@ -57,7 +57,7 @@ class ProximalSCP(AbstractSCP):
 
     tolerance: float = eqx.field(static=True, default=1e-8)
     max_iterations: int = eqx.field(static=True, default=100)
-    max_polish: int = eqx.field(static=True, default=150)
+    max_polish: int = eqx.field(static=True, default=400)
     min_reduction: float = eqx.field(static=True, default=1e-7)
     feasibility_tolerance: float = eqx.field(static=True, default=1e-5)
     initial_weight: float = eqx.field(static=True, default=10.0)
@@ -299,7 +299,7 @@ class ProximalSCP(AbstractSCP):
         stationary = (promised <= least) | (judgement.predicted <= noise)
         # Next to a solution a step along what the cost hardly sees promises nothing, yet
         # leads to it.
-        hopeful = self._uses_exact(state) & (state.optimality <= self.far) & ~infeasible
+        hopeful = (state.optimality <= self.far) & ~infeasible & (self.curvature == "all")
         stationary = jnp.where(hopeful, state.polish + 1 >= self.max_polish, stationary)
         stationary &= trial.solution.effort.solved
         cheap = stationary & bought & (state.ceiling < self.max_ceiling)

@@ -14,6 +14,7 @@ from ._bounds import Bounds
 from ._curvature import Curvature
 from ._intervals import IntervalJacobians, Jacobian
 from ._lagrangian import nodal_curvature
+from ._peaks import PEAK_TOLERANCE
 from ._per_constraint import PerConstraint
 from ._transcription import (
     Derivatives,
@@ -50,7 +51,7 @@ class Scaling(eqx.Module):
             objective=residuals.objective / self.objective,
             defects=residuals.defects / self.state[None],
             path=residuals.path / self.path[None],
-            between=residuals.between / self.between[None],
+            between=residuals.between / self.between[None] - PEAK_TOLERANCE,
             increments=residuals.increments / rates[None],
         )
 
