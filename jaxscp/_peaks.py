@@ -12,7 +12,7 @@ from ._types import Array, Float
 
 # Moments of a step compared before the best of them is refined, and Newton's steps.
 _SAMPLES = 5
-_REFINEMENTS = 2
+_REFINEMENTS = 3
 # How far a peak may exceed its limit, in shares of the scale. Where nodes rest on a limit
 # one after the other, the ripple between them would make twice as many constraints
 # active as there are controls to meet them.

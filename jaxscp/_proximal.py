@@ -161,7 +161,8 @@ class ProximalSCP(AbstractSCP):
         Not after virtual control was needed, nor after a subproblem that failed: without
         convexity some do.
         """
-        sound = ~state.solution.effort.relaxed & (state.failures == 0)
+        taken = state.history.accepted[state.records - 1] > 0.0
+        sound = ~state.solution.effort.relaxed & (state.failures == 0) & taken
         return sound & (state.optimality < self.close) & (self.curvature == "all")
 
     def _iterate(self, transcription: Transcription, state: SCPState) -> SCPState:
