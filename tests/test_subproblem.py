@@ -3,7 +3,6 @@
 import dataclasses
 import itertools
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +16,6 @@ from past_a_disc import (
     LIMITS,
     NODES,
     PATH,
-    Dense,
     Parts,
     damped,
     damping_of,
@@ -32,35 +30,33 @@ from past_a_disc import (
     prepare,
     prices_of,
     problem_of,
+    quick_jit,
+    solver_and_numbers,
     structure_of,
+    to_the_host,
     transcribed,
 )
+from random_models import random_limits, random_model
 from scipy.linalg import block_diag
 
-from jaxscp._assembly import subproblem_solver
 from jaxscp._constraints import penalized_cost, violations, worst_violation
 from jaxscp._damping import Damping
 from jaxscp._model import Model
 from jaxscp._qp import PIQP
 from jaxscp._subproblem import SubproblemSolution, solve_subproblem
-from jaxscp._subproblem_data import Outline, Prices, SubproblemData
+from jaxscp._subproblem_data import Prices
 from jaxscp._transcription import Variables
 
 # Multipliers magnify what the default tolerance leaves.
 PRECISE = PIQP(finest=1e-10)
-solve = eqx.filter_jit(solve_subproblem)
-predict = eqx.filter_jit(Model.predict)
-# Of what there is to rest on between the nodes, with so much drift something is active.
-BETWEEN = {
-    "zero-order-between": {"ceiling": 1.0, "drifted": 3.6},
-    "first-order-between": {"ceiling": 1.1, "drifted": 3.6},
-}
+solve = quick_jit(solve_subproblem)
+predict = quick_jit(Model.predict)
 
 
 def solved(
     parts: Parts, prices: Prices, name="zero-order", proximal=2.0, **options
 ) -> SubproblemSolution:
-    damping = damping_of(parts, proximal)
+    damping = damping_of(parts.model, proximal)
     structure = structure_of(name, **options)
     return solve(structure, PRECISE, parts.model, damping, prices, parts.limits)
 
@@ -211,7 +207,7 @@ def check_buffers(values: np.ndarray, multipliers: np.ndarray, prices: np.ndarra
 
 @pytest.mark.parametrize("name", ["zero-order", "first-order", "trapezoid"])
 def test_the_best_step(name):
-    parts, prices, damping = parts_of(name), prices_of(), damping_of(parts_of(name))
+    parts, prices, damping = parts_of(name), prices_of(), damping_of(parts_of(name).model)
     solution = solved(parts, prices, name)
     assert bool(solution.effort.solved)
     assert not bool(solution.effort.infeasible)
@@ -239,36 +235,210 @@ def peaks_of(multipliers) -> tuple[np.ndarray, np.ndarray]:
     return by_part[:, :, :LIMITS], by_part[:, :, LIMITS:]
 
 
-@pytest.mark.parametrize("name", BETWEEN)
-def test_the_best_step_between_the_nodes(name):
-    parts, prices = parts_of(name, **BETWEEN[name]), prices_of(name)
-    damping = damping_of(parts)
-    solution = solved(parts, prices, name)
+def drawn_subproblem(name: str, seed: int, limit=1e4):
+    """With curvature and damping of every kind, and path constraints at their price."""
+    parts = Parts(None, random_model(name, seed), random_limits(structure_of(name), seed))
+    dear = prices_of(name, virtual=1e4, limit=limit, integral=1e4)
+    path = np.random.default_rng(seed).uniform(1.0, 30.0, dear.path.shape)
+    prices = dataclasses.replace(dear, path=jnp.asarray(path))
+    return parts, prices, held_damping_of(parts.model, seed)
+
+
+def solve_drawn(name: str, parts, prices, damping, **options) -> SubproblemSolution:
+    structure = structure_of(name, **options)
+    return solve(structure, PRECISE, parts.model, damping, prices, parts.limits)
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"),
+    [
+        ("zero-order-between", 2),
+        ("zero-order-between", 10),
+        ("first-order-between", 0),
+        ("first-order-between", 6),
+        ("first-order-trapezoid", 0),
+        ("first-order-trapezoid", 1),
+    ],
+)
+def test_the_best_step_of_any_convex_model(name, seed):
+    parts, prices, damping = drawn_subproblem(name, seed)
+    solution = solve_drawn(name, parts, prices, damping)
     assert bool(solution.effort.solved)
     assert int(solution.effort.solves) == 1
     assert_allclose(flat(solution.step), optimum(parts, prices, damping), atol=1e-6)
-    check_optimality(parts, prices, damping, solution, atol=1e-5)
-    after = predict(parts.model, solution.step)
-    assert worst_violation(after, parts.limits.integral) < 1e-6
-    # It flies past the disc between two nodes, and below the ceiling at one or between.
-    limits, path = peaks_of(solution.multipliers)
-    assert np.max(path[:, :, 1]) > 1.0
-    assert np.max(path[:, :, 0]) < 1e-6
-    assert np.max(solution.multipliers.path) < 1e-6
-    assert np.max(solution.state[1:-1, 1]) > 1.0
-    rises = np.max(limits, axis=(0, 1))
-    assert (rises[4] > 1.0) == (name == "zero-order-between")
-    assert np.max(np.delete(rises, 4)) < 1e-6
+    check_optimality(parts, prices, damping, solution)
+    if "between" in name:
+        # Peaks of limits and of path constraints, some with a buffer and some without.
+        limits, path = peaks_of(solution.multipliers)
+        assert np.max(limits) > 1.0
+        assert np.max(path) > 1.0
+        pushes = solution.multipliers.path[:-1] + np.sum(path, axis=1)
+        at_price = pushes > prices.path[:-1] - 1e-3
+        assert 0 < np.sum(at_price) < at_price.size
+        assert np.max(peaks_of(predict(parts.model, solution.step))[0]) < 1e-6
 
 
-def test_what_is_between_nodes_shares_the_buffer_before():
-    name = "zero-order-between"
-    parts, prices = parts_of(name), prices_of(name, path=20.0)
-    damping = damping_of(parts)
-    solution = solved(parts, prices, name)
+def test_a_node_shares_its_buffers_with_the_interval_behind():
+    name = "first-order-between"
+    parts, prices, damping = drawn_subproblem(name, 0)
+    multipliers = solve_drawn(name, parts, prices, damping).multipliers
+    at_nodes, (_, peaks) = multipliers.path[:-1], peaks_of(multipliers)
+    both = (at_nodes > 1e-3) & (peaks[:, 0] > 1e-3)
+    assert np.any(both)
+    assert_allclose((at_nodes + peaks[:, 0])[both], prices.path[:-1][both])
+
+
+def test_limits_between_nodes_have_buffers_where_dynamics_have():
+    # Limits that cannot be met, and some that cost more to meet than not.
+    for seed, limit, options in ((3, 1e3, {}), (4, 20.0, {"relaxed": True})):
+        name = "zero-order-between"
+        parts, prices, damping = drawn_subproblem(name, seed, limit)
+        solution = solve_drawn(name, parts, prices, damping, **options)
+        assert bool(solution.effort.relaxed)
+        assert_allclose(flat(solution.step), optimum(parts, prices, damping), atol=1e-5)
+        check_optimality(parts, prices, damping, solution, atol=1e-5)
+        pushes = np.sum(peaks_of(solution.multipliers)[0], axis=1)
+        assert_allclose(np.max(pushes), limit)
+        assert np.max(peaks_of(predict(parts.model, solution.step))[0]) > 1e-3
+
+
+@pytest.mark.parametrize(("drifted", "price"), [(2.8, 3.0), (-20.0, 3.0)])
+def test_cheap_buffers_are_used(drifted, price):
+    parts, prices = parts_of(drifted=drifted), prices_of(path=20.0, integral=price)
+    solution, damping = solved(parts, prices), damping_of(parts.model)
     assert int(solution.effort.solves) == 1
     assert_allclose(flat(solution.step), optimum(parts, prices, damping), atol=1e-6)
     check_optimality(parts, prices, damping, solution)
-    # One price for a node and both parts of the interval behind it.
-    disc = np.append(solution.multipliers.path[:-1, 1:], peaks_of(solution.multipliers)[1][:, :, 1], axis=1)
-    print(disc)
+    after, limits = predict(parts.model, solution.step), parts.limits.integral
+    broken = violations(after, limits)
+    assert np.max(broken.dynamics) < 1e-7
+    assert np.max(broken.path) > 1e-4
+    # Too much of the drift, or too little of the signal.
+    drift, signal = np.asarray(after.totals - limits[0])
+    if drifted < 0.0:
+        assert drift > 1e-3
+    else:
+        assert signal < -1e-4
+
+
+def test_dynamics_that_cannot_be_met_are_relaxed():
+    # Too little time for so weak a drive.
+    parts, prices = parts_of(longest=4.1), prices_of()
+    solution, damping = solved(parts, prices), damping_of(parts.model)
+    assert bool(solution.effort.solved)
+    assert not bool(solution.effort.infeasible)
+    assert bool(solution.effort.relaxed)
+    assert int(solution.effort.solves) == 2
+    assert_allclose(flat(solution.step), optimum(parts, prices, damping), atol=1e-5)
+    check_optimality(parts, prices, damping, solution, atol=1e-5)
+    # What remains of the defects is the virtual control.
+    relaxed = structure_of(relaxed=True)
+    data = to_the_host(parts.model, damping, prices, parts.limits)
+    solver, numbers = solver_and_numbers(relaxed, PRECISE, data)
+    answer, effort = solver(numbers)
+    less, more = answer.z[solver.layout.virtual]
+    remaining = predict(parts.model, solution.step).defects
+    assert np.max(np.abs(remaining)) > 1e-3
+    assert_allclose(more - less, remaining, atol=1e-6)
+    assert effort[0] == 1.0
+
+
+def test_dynamics_that_cannot_be_met_may_have_to_be():
+    solution = solved(parts_of(longest=4.1), prices_of(relax=0.0))
+    assert not bool(solution.effort.solved)
+    assert bool(solution.effort.infeasible)
+    assert not bool(solution.effort.relaxed)
+    assert int(solution.effort.solves) == 1
+
+
+@pytest.mark.parametrize("radius", [0.3, 1.0])
+def test_the_ball(radius):
+    parts, prices = parts_of(), prices_of(virtual=20.0, radius=radius)
+    solution = solved(parts, prices, relaxed=True, ball=True)
+    assert bool(solution.effort.solved)
+    assert int(solution.effort.solves) == 1
+    step = solution.step
+    norms = np.max(np.abs(step.states), axis=1) + np.abs(step.final_time)
+    norms[:-1] += np.max(np.abs(step.controls), axis=1)
+    assert np.all(norms <= radius + 1e-6), norms
+    assert np.max(norms) == pytest.approx(radius, abs=1e-6)
+    expected = optimum(parts, prices, damping_of(parts.model), radius)
+    assert_allclose(flat(step), expected, atol=1e-6)
+
+
+def test_a_wide_ball_and_dear_virtual_control_change_nothing():
+    parts, prices = parts_of(), prices_of(radius=1e3)
+    plain = solved(parts, prices)
+    for options in ({"relaxed": True}, {"ball": True}, {"relaxed": True, "ball": True}):
+        other = solved(parts, prices, **options)
+        assert_allclose(flat(other.step), flat(plain.step), atol=1e-6)
+        check_optimality(parts, prices, damping_of(parts.model), other, atol=1e-5)
+
+
+def test_broken_numbers_are_not_solved():
+    solution = solved(parts_of(), prices_of(), proximal=np.nan)
+    assert not bool(solution.effort.solved)
+    assert not bool(solution.effort.infeasible)
+    assert np.all(np.isnan(flat(solution.step)))
+
+
+def test_a_subproblem_not_solved_yet_has_the_shapes_of_one_solved():
+    name = "zero-order-between"
+    solution = solve_drawn(name, *drawn_subproblem(name, 10))
+    nothing = SubproblemSolution.none(structure_of(name))
+    assert jax.tree.structure(nothing) == jax.tree.structure(solution)
+    for none, some in zip(*map(jax.tree.leaves, (nothing, solution)), strict=True):
+        assert (none.shape, none.dtype) == (some.shape, some.dtype)
+    assert np.all(flat(nothing.step) == 0.0)
+
+
+def test_eager_compiled_and_batched():
+    parts, prices, structure = parts_of(), prices_of(), structure_of()
+
+    def answer(proximal):
+        damping = damping_of(parts.model, proximal)
+        args = (structure, PRECISE, parts.model, damping, prices, parts.limits)
+        return solve_subproblem(*args)
+
+    weights = jnp.array([0.5, 2.0, 8.0])
+    compiled, batch = jax.jit(answer), jax.jit(jax.vmap(answer))(weights)
+    alone = compiled(weights[1])
+    assert_allclose(flat(answer(weights[1]).step), flat(alone.step), atol=1e-12)
+    for index, weight in enumerate(weights):
+        alone = compiled(weight)
+        for name in ("step", "multipliers", "state", "control", "final_time"):
+            for one, all_of_them in zip(
+                jax.tree.leaves(getattr(alone, name)),
+                jax.tree.leaves(getattr(batch, name)),
+                strict=True,
+            ):
+                assert_allclose(all_of_them[index], one, atol=1e-12)
+    assert np.max(np.abs(batch.step.states[0] - batch.step.states[2])) > 1e-3
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_predicted_reduction_is_never_negative(seed):
+    """Of the penalized cost, if no weight is less than its multiplier."""
+    draw = np.random.default_rng(seed)
+    transcription = transcribed(problem_of())
+    there = flown(transcription)
+    there = Variables(
+        there.states.at[1:-1].add(0.3 * draw.normal(size=(4, 4))),
+        there.controls + 0.1 * draw.uniform(size=(5, 3)) * np.array([0.0, 1.0, 0.0]),
+        there.final_time + draw.uniform(-1.0, 3.0),
+    )
+    multipliers = multipliers_of(transcription, *draw.normal(size=4))
+    parts = prepare(transcription, there, multipliers)
+    proximal = 10 ** draw.uniform(-2, 3)
+    virtual, path, integral = 10 ** draw.uniform(0.0, 4.0, size=3)
+    prices = prices_of(virtual=virtual, path=path, integral=integral)
+    solution = solved(parts, prices, proximal=proximal)
+    assert bool(solution.effort.solved)
+    weights = jax.tree.map(
+        lambda leaf: np.abs(leaf) * (1.0 + draw.exponential()) + draw.exponential(),
+        solution.multipliers,
+    )
+    limits, model = parts.limits.integral, parts.model
+    before = penalized_cost(model.residuals, limits, weights)
+    after = penalized_cost(predict(model, solution.step), limits, weights)
+    assert after <= before + 1e-6 * (1.0 + abs(before))
