@@ -201,7 +201,11 @@ class ProximalSCP(AbstractSCP):
         def exact():
             # Half the steps tell the curvature well enough to converge fast.
             least = transcription.discretization.least_substeps
-            rough = iterate.substeps if transcription.discretization.between else jnp.maximum((iterate.substeps + 1) // 2, least)
+            rough = (
+                iterate.substeps
+                if transcription.discretization.between
+                else jnp.maximum((iterate.substeps + 1) // 2, least)
+            )
             return exact_curvature(*point, rough, multipliers)
 
         if self.curvature == "all":

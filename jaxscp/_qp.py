@@ -43,10 +43,9 @@ class QP:
     @property
     def is_finite(self) -> bool:
         """Whether all numbers but the limits are finite."""
-        matrices = (self.P.data, self.A.data, self.G.data)
-        return all(
-            np.isfinite(part).all() for part in (*matrices, self.c, self.b, self.h)
-        )
+        parts = (self.P.data, self.A.data, self.G.data, self.c, self.b)
+        limits = np.isfinite(self.h) | np.isposinf(self.h)
+        return bool(limits.all()) and all(np.isfinite(part).all() for part in parts)
 
 
 @dataclasses.dataclass

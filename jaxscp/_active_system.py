@@ -1,0 +1,257 @@
+"""The linear system of a step that rests on some of its limits.
+
+Variables at the first node, controls and the flight time are forced to their limits; the
+other constraints are pulled to theirs by squares of great weight and, as those alone
+leave a gap, by multipliers that grow with it: the augmented Lagrangian. The recursion of
+`_riccati` solves the system in the time of a few interior-point iterations; its factors
+serve for all the passes that refine the step.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ._damping import Damping
+from ._model import Model, linear_prediction
+from ._per_constraint import PerConstraint
+from ._riccati import Factors, Forced, Program, arranged, factorize, solve
+from ._subproblem import Effort, SubproblemSolution
+from ._transcription import Residuals, Variables, held
+from ._types import Array, Float, Scalar
+
+# Weight of the squares that pull, and how often what they lack is added: each time leaves
+# about a thousandth of the gap, more where a constraint hardly gives way.
+_FIRM = 1e4
+_PASSES = 12
+# Gaps below it are closed.
+_CLOSED = 1e-11
+# A gradient or a gap this large that ought to vanish: the recursion broke down.
+_SOUND = 1e-9
+
+
+class PerLimit(eqx.Module):
+    """One number for each limit of the step and each inequality.
+
+    As multipliers: upper ones positive, lower ones negative.
+    """
+
+    variables: Variables
+    path: Float[Array, "N p"]
+    between: Float[Array, "I b"]
+    integral: Float[Array, " q"]
+
+    @classmethod
+    def multipliers(cls, solution: SubproblemSolution) -> "PerLimit":
+        own = solution.multipliers
+        return cls(
+            Variables(solution.state, solution.control, solution.final_time),
+            own.path,
+            own.between,
+            own.integral,
+        )
+
+
+class _Pass(eqx.Module):
+    """How far the refinement of a step has come.
+
+    - `pushes`: multipliers of what is pulled. `gap`: how far that is from its limits.
+    """
+
+    step: Variables
+    costates: Float[Array, "I n"]
+    pushes: PerLimit
+    gap: Scalar
+    count: Array
+
+
+class ActiveSystem(eqx.Module):
+    """The model's first-order conditions with some constraints active.
+
+    - `sides`: where a constraint rests: 1 on its upper limit, -1 on its lower one.
+    - `told`: 1 for variables that are forced to their limits.
+    - `pull`: the squares that draw everything else.
+    """
+
+    model: Model
+    damping: Damping
+    sides: PerLimit
+    told: Variables
+    pull: Damping
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        damping: Damping,
+        sides: PerLimit,
+        targets: Variables,
+        totals: Float[Array, " q"],
+    ) -> "ActiveSystem":
+        """With the limits that the variables and the integrals rest on."""
+        weight = jax.tree.map(lambda side: _FIRM * jnp.abs(side), sides)
+        told = jax.tree.map(jnp.abs, sides.variables)
+        told = eqx.tree_at(lambda v: v.states, told, told.states.at[1:].set(0.0))
+        pulled = Variables(
+            weight.variables.states.at[0].set(0.0),
+            jnp.zeros_like(targets.controls),
+            jnp.zeros_like(targets.final_time),
+        )
+        pull = Damping(
+            pulled, weight.path, weight.between, weight.integral, targets, totals
+        )
+        return cls(model, damping, sides, told, pull)
+
+    @property
+    def weight(self) -> PerLimit:
+        """Of the squares that pull."""
+        pull = self.pull
+        return PerLimit(pull.step, pull.path, pull.between, pull.integral)
+
+    def solved(self, pushes: PerLimit) -> tuple[SubproblemSolution, Array]:
+        """The step, and whether it is a sound minimum.
+
+        **Arguments:**
+
+        - `pushes`: what pulled may start from.
+        """
+        still = jax.tree.map(jnp.zeros_like, self.told)
+        pushes = jax.tree.map(
+            lambda weight, push: jnp.where(weight > 0.0, push, 0.0), self.weight, pushes
+        )
+        costates = jnp.zeros_like(self.model.residuals.defects)
+        begun = _Pass(still, costates, pushes, jnp.asarray(jnp.inf), jnp.zeros((), int))
+        factors = factorize(*self._left_at(begun))
+        done = jax.lax.while_loop(
+            lambda at: (at.count < 2) | ((at.count < _PASSES) & (at.gap > _CLOSED)),
+            lambda at: self._refined(at, factors),
+            begun,
+        )
+        solution, left = self._solution(done)
+        closed = (left <= _SOUND) & (done.gap <= _SOUND)
+        return solution, (factors.convexity > 0.0) & closed
+
+    def _left_at(self, done: _Pass) -> tuple[Program, Forced]:
+        """What is left of every condition."""
+        step = done.step
+        slope = jax.grad(self._lagrangian)(step, done.costates, done.pushes)
+        tug = jax.grad(lambda step: self.pull.value(self.model, step))(step)
+        squares = self.damping.curvature(self.model).plus(self.pull.curvature(self.model))
+        program = arranged(
+            after_step(self.model, step),
+            self.model.derivatives,
+            self.model.curvature.plus(squares),
+            jax.tree.map(jnp.add, slope, tug),
+            self._of_totals(done),
+        )
+        to_go = jax.tree.map(jnp.subtract, self.pull.centre, step)
+        return program, _forced(self.told, to_go, done.pushes.integral.size)
+
+    def _of_totals(self, done: _Pass) -> tuple[Array, Array]:
+        """Second and, at zero, first derivatives by the integrals' totals."""
+        second, first = (
+            own + pulled
+            for own, pulled in zip(
+                self.damping.of_totals, self.pull.of_totals, strict=True
+            )
+        )
+        return second, first + done.pushes.integral
+
+    def _refined(self, done: _Pass, factors: Factors) -> _Pass:
+        """One pass more: it starts from what the one before has left."""
+        program, forced = self._left_at(done)
+        y, decisions, costates = solve(program, forced, factors)
+        n, q = done.step.states.shape[1], done.pushes.integral.size
+        m = done.step.controls.shape[1]
+        if done.step.controls.shape[0] > decisions.shape[0]:
+            decisions = jnp.concatenate([y[:1, n : n + m], decisions])
+        change = Variables(y[:, :n], decisions, y[0, -1])
+        # A defect is the next node minus the flow: raising it lowers the node.
+        more = -costates[:, :n]
+        growth = self.model.derivatives.intervals.increments
+        if growth.right_state is not None:
+            second, first = self._of_totals(done)
+            price = second * y[-1, -1 - q : -1] + first
+            more -= jnp.einsum("kqn,q->kn", growth.right_state[:, :q], price)
+        step = jax.tree.map(jnp.add, done.step, change)
+        gap = self._gap(step)
+        weight = self.weight
+        pushes = jax.tree.map(lambda p, w, g: p + w * g, done.pushes, weight, gap)
+        pulled = jax.tree.map(lambda w, g: jnp.where(w > 0.0, g, 0.0), weight, gap)
+        return _Pass(step, done.costates + more, pushes, _largest(pulled), done.count + 1)
+
+    def _solution(self, done: _Pass) -> tuple[SubproblemSolution, Scalar]:
+        """With the multipliers of what is forced, and what is left of the gradient."""
+        pushes, told = done.pushes, self.told
+        slope = jax.grad(self._whole_lagrangian)(done.step, done.costates, pushes)
+        # What is forced has whatever multiplier makes the gradient vanish.
+        left = jax.tree.map(lambda slope, told: slope * (1.0 - told), slope, told)
+        of_limits = jax.tree.map(
+            lambda push, slope, told: push - slope * told, pushes.variables, slope, told
+        )
+        solution = SubproblemSolution(
+            done.step,
+            PerConstraint(done.costates, pushes.path, pushes.between, pushes.integral),
+            of_limits.states,
+            of_limits.controls,
+            of_limits.final_time,
+            Effort.of_linear_system(),
+        )
+        return solution, _largest(left)
+
+    def _gap(self, step: Variables) -> PerLimit:
+        """How far each constraint is from its limit."""
+        after = after_step(self.model, step)
+        return PerLimit(
+            jax.tree.map(jnp.subtract, step, self.pull.centre),
+            after.path,
+            self._peaks(after),
+            after.totals - self.pull.target,
+        )
+
+    def _lagrangian(
+        self, step: Variables, costates: Float[Array, "I n"], pushes: PerLimit
+    ) -> Scalar:
+        """Without what the totals of the integrals add."""
+        after = self.model.predict(step)
+        total = after.objective + self.damping.value(self.model, step)
+        total += jnp.vdot(costates, after.defects)
+        total += jnp.vdot(pushes.path, after.path)
+        total += jnp.vdot(pushes.between, self._peaks(after))
+        return total + jnp.vdot(pushes.variables.states, step.states)
+
+    def _whole_lagrangian(
+        self, step: Variables, costates: Float[Array, "I n"], pushes: PerLimit
+    ) -> Scalar:
+        totals, damping = after_step(self.model, step).totals, self.damping
+        squares = damping.integral * (totals - damping.target) ** 2
+        of_totals = 0.5 * jnp.sum(squares) + jnp.vdot(pushes.integral, totals)
+        return self._lagrangian(step, costates, pushes) + of_totals
+
+    def _peaks(self, after: Residuals) -> Array:
+        # Peaks of what has no limit are infinitely low.
+        return jnp.where(self.sides.between > 0.0, after.between, 0.0)
+
+
+def _forced(told: Variables, to_go: Variables, totals: int) -> Forced:
+    """What the recursion does not choose: which variables, and what they are."""
+    own = int(told.controls.shape[0] == told.states.shape[0])
+
+    def first(values: Variables, sums: Array) -> Array:
+        held = values.controls[:own].ravel()
+        return jnp.concatenate([values.states[0], held, sums, values.final_time[None]])
+
+    return Forced(
+        (first(told, jnp.ones(totals)), first(to_go, jnp.zeros(totals))),
+        (told.controls[own:], to_go.controls[own:]),
+    )
+
+
+def after_step(model: Model, step: Variables) -> Residuals:
+    """What the linearized constraints are after a step."""
+    controls = held(step.controls, step.states.shape[0])
+    return linear_prediction(model.residuals, model.derivatives, step, controls)
+
+
+def _largest(parts) -> Scalar:
+    sizes = [jnp.max(jnp.abs(part), initial=0.0) for part in jax.tree.leaves(parts)]
+    return jnp.max(jnp.stack(sizes))
