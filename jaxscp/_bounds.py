@@ -83,6 +83,12 @@ class Bounds(eqx.Module):
                 f"Bounds: fixed has {len(self.fixed)} entries for {lower.size} limits; "
                 "give one truth value for each entry."
             )
+        if any(len(mask) != lower.size for mask in self.limited):
+            lengths = ", ".join(str(len(mask)) for mask in self.limited)
+            raise ValueError(
+                f"Bounds: limited has {lengths} entries for {lower.size} limits; give "
+                "one truth value for each lower and for each upper limit."
+            )
 
     @classmethod
     def exactly(cls, value: ArrayLike, *, scale: ArrayLike | None = None) -> "Bounds":

@@ -141,7 +141,12 @@ class Mission(eqx.Module):
             integrals["data"] = Integral(self.channel, enough)
         return OptimalControlProblem(
             self.vehicle,
-            state=Bounds(*figures.state, scale=STATE_SCALES, fixed=(False,) * 12),
+            state=Bounds(
+                *figures.state,
+                scale=STATE_SCALES,
+                fixed=(False,) * 12,
+                limited=_limited(self.altitude_floor is not None),
+            ),
             control=Bounds(*figures.control, fixed=(False,) * 4),
             initial_state=Bounds.exactly(figures.route[0]),
             final_state=Bounds.exactly(figures.route[-1]),
@@ -237,6 +242,13 @@ def _figures(mission: Mission) -> _Figures:
         schedule=(legs, stays),
         expected_time=jnp.sum(legs) + jnp.sum(stays),
     )
+
+
+def _limited(floor: bool) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
+    """Which states have a lower and which an upper limit: altitude, roll and pitch."""
+    tilts = (6, 7)
+    lower = tuple(entry in tilts or (floor and entry == 2) for entry in range(12))
+    return lower, tuple(entry in tilts for entry in range(12))
 
 
 def _at_rest(position: Float[Array, "3"]) -> Float[Array, "12"]:

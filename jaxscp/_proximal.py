@@ -199,14 +199,12 @@ class ProximalSCP(AbstractSCP):
             return nodewise_curvature(*point, weighed)
 
         def exact():
-            # Half the steps tell the curvature well enough to converge fast.
-            least = transcription.discretization.least_substeps
-            rough = (
-                iterate.substeps
-                if transcription.discretization.between
-                else jnp.maximum((iterate.substeps + 1) // 2, least)
-            )
-            return exact_curvature(*point, rough, multipliers)
+            settings, steps = transcription.discretization, iterate.substeps
+            # Half the steps tell the curvature well enough to converge fast, but would
+            # have peaks elsewhere.
+            if not settings.between:
+                steps = jnp.maximum((steps + 1) // 2, settings.least_substeps)
+            return exact_curvature(*point, steps, multipliers)
 
         if self.curvature == "all":
             curvature = jax.lax.cond(self._uses_exact(state), exact, nodewise)

@@ -130,6 +130,14 @@ def _check_bounds(name: str, bounds: Bounds, shape: tuple[int, ...] | None) -> N
             f"{place} is fixed but has lower={low:g} and upper={high:g}; set both ends "
             "to the same number, or make new Bounds."
         )
+    below, above = (np.array(mask, bool) for mask in bounds.limited)
+    unseen = (np.isfinite(lower) & ~below) | (np.isfinite(upper) & ~above)
+    if unseen.any():
+        place, low, high = entry(unseen)
+        raise ValueError(
+            f"{place} is declared without a limit but has lower={low:g} and "
+            f"upper={high:g}; make it infinite, or make new Bounds."
+        )
 
 
 def _check_reachable(problem: OptimalControlProblem, name: str) -> None:

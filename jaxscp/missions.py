@@ -2,6 +2,7 @@
 
     mission = missions.get("urban-30MB-60dB")
     heavier = missions.replace(mission, "vehicle.mass", 3.5)
+    solution = missions.solve(heavier)
 
 The paper states b = 60 without a unit. Missions with data exist twice: with b = 60
 taken linearly, and with "-60dB" at the end, where it is decibels, b = 1e6.
@@ -12,12 +13,18 @@ the weight at 600 rad/s, torque limits, and an altitude floor of 10 m where data
 required (without one the optimizer flies into the antenna).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from ._discretization import Discretization
 from ._guess_plan import GuessPlan as GuessPlan
 from ._mission import Mission as Mission
+from ._proximal import ProximalSCP
 from ._records import dotted_paths, from_dict, to_dict, with_entries
+from ._scp import AbstractSCP
+from ._solution import Solution
+from ._solve import solve as solve_problem
+from ._types import ArrayLike
 from .models.channel import Channel
 from .models.limits import Limits
 from .models.obstacles import Cylinders
@@ -40,6 +47,8 @@ _MISSIONS = {
     "free-space-70MB-60dB": (False, 70, _SNR_60_DB),
     "urban-30MB-60dB": (True, 30, _SNR_60_DB),
 }
+# Where limits hold, as parts of each interval watched: an interval has room for one peak.
+ENFORCED = {"nodes": 0, "between": 1}
 # Not numbers: they say what a mission is called.
 _LABELS = ("name", "summary")
 
@@ -71,6 +80,38 @@ def get(name: str) -> Mission:
         altitude_floor=None if megabytes is None else 10.0,
         data_required=None if megabytes is None else megabytes * BITS_PER_MEGABYTE,
         plan=_plan(megabytes, snr_constant),
+    )
+
+
+def solve(
+    mission: Mission,
+    method: AbstractSCP = ProximalSCP(),  # noqa: B008  (immutable)
+    *,
+    enforce: str = "between",
+    nodes: int | ArrayLike = 100,
+    progress: Callable[[dict], None] | None = None,
+    throw: bool = True,
+) -> Solution:
+    """Solve a mission from its own guess.
+
+    **Arguments:**
+
+    - `enforce`: "between" holds tilt, floor and buildings within the intervals as well,
+        as a flight must; "nodes", as in the paper, at the nodes alone.
+    - `nodes`: as in [`Mission.guess`][].
+    - `method`, `progress`, `throw`: as in [`jaxscp.solve`][].
+
+    **Raises:** what [`jaxscp.solve`][] raises; `ValueError` for another `enforce`.
+    """
+    if enforce not in ENFORCED:
+        raise ValueError(f"enforce={enforce!r}: choose 'nodes' or 'between'.")
+    return solve_problem(
+        mission.problem(),
+        mission.guess(nodes),
+        method,
+        discretization=Discretization(between=ENFORCED[enforce]),
+        progress=progress,
+        throw=throw,
     )
 
 

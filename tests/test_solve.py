@@ -323,7 +323,8 @@ def test_many_states_stay_on_one_line():
         final_time=Bounds(1.0, 2.0),
     )
     guess = jaxscp.straight_line(problem, NODES)
-    nothing = Violations(guess.states[1:], {}, {}, (guess.states[0], {}, {}))
+    none = jnp.zeros_like(guess.states[1:])
+    nothing = Violations(guess.states[1:], {}, {}, none, {}, (guess.states[0], {}, {}))
     message = explain(problem, guess, nothing, jaxscp.Status.non_finite)
     assert "First: the value of dynamics at node 0 (0 s)" in message
     assert "\n" not in message

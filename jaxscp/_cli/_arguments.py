@@ -5,6 +5,7 @@ import json
 from typing import Any, NoReturn
 
 METHODS = ("proximal", "paper")
+PLACES = ("nodes", "between")
 
 
 class InputError(Exception):
@@ -32,6 +33,7 @@ def parser() -> argparse.ArgumentParser:
     _add_solve(commands)
     check = commands.add_parser("verify", help="check a saved solution independently")
     check.add_argument("file", metavar="FILE.npz", help="written by solve --save")
+    _add_enforce(check, "nodes", "where limits must hold")
     return top
 
 
@@ -66,6 +68,9 @@ def _add_solve(commands: Any) -> None:
         default=METHODS[0],
         help="how the convex subproblems follow each other (default: %(default)s)",
     )
+    _add_enforce(
+        solve, "between", "where limits hold: also between the nodes, or there alone"
+    )
     solve.add_argument("--json", metavar="FILE", help="write the result as JSON")
     solve.add_argument(
         "--save", metavar="FILE.npz", help="write time, state and control in SI units"
@@ -75,6 +80,15 @@ def _add_solve(commands: Any) -> None:
     )
     solve.add_argument(
         "--quiet", action="store_true", help="print nothing but what went wrong"
+    )
+
+
+def _add_enforce(command: Any, default: str, meaning: str) -> None:
+    command.add_argument(
+        "--enforce",
+        choices=PLACES,
+        default=default,
+        help=f"{meaning} (default: %(default)s)",
     )
 
 

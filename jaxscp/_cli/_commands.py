@@ -17,7 +17,6 @@ from .._paper import PaperSCP
 from .._problem import OptimalControlProblem
 from .._proximal import ProximalSCP
 from .._solution import Solution
-from .._solve import solve as solve_problem
 from .._trajectory import Trajectory
 from .._validation import check_guess, check_problem
 from .._verification import Verification
@@ -46,7 +45,9 @@ def verify(arguments: argparse.Namespace) -> int:
         mission, trajectory = _files.load(arguments.file)
     except ValueError as error:
         raise InputError(error) from error
-    result = verify_solution(mission.problem(), trajectory, hold=ZeroOrderHold())
+    result = _verified(
+        mission.problem(), trajectory, arguments.enforce, hold=ZeroOrderHold()
+    )
     print(f"{arguments.file}: {mission.name}")
     print(result)
     return SUCCESS if result.verified else FAILURE
@@ -67,9 +68,9 @@ def solve(arguments: argparse.Namespace) -> int:
         check_guess(problem, guess)
     except ValueError as error:
         raise InputError(error) from error
-    solution, spent = _timed_solve(problem, guess, arguments)
+    solution, spent = _timed_solve(mission, arguments)
     seconds |= spent
-    verification = verify_solution(solution.problem, solution)
+    verification = _verified(solution.problem, solution, arguments.enforce)
     _write(arguments, mission, solution, guess, verification, seconds)
     good = bool(solution.converged) and verification.verified
     if not arguments.quiet:
@@ -79,8 +80,22 @@ def solve(arguments: argparse.Namespace) -> int:
     return SUCCESS if good else FAILURE
 
 
+def _verified(
+    problem: OptimalControlProblem,
+    flight: Solution | Trajectory,
+    enforce: str,
+    hold: ZeroOrderHold | None = None,
+) -> Verification:
+    """Between the nodes to a hundred-thousandth: millimetres, as limits hold there."""
+    between = enforce == "between"
+    tolerance = 1e-5 if between else 1e-4
+    return verify_solution(
+        problem, flight, between=between, tolerance=tolerance, hold=hold
+    )
+
+
 def _timed_solve(
-    problem: OptimalControlProblem, guess: Trajectory, arguments: argparse.Namespace
+    mission: Mission, arguments: argparse.Namespace
 ) -> tuple[Solution, dict[str, float]]:
     """The solution, converged or not, and the seconds to compile and to solve."""
     method = {"proximal": ProximalSCP, "paper": PaperSCP}[arguments.method]()
@@ -88,7 +103,14 @@ def _timed_solve(
     progress = _show_progress if terminal and not arguments.quiet else None
     began = time.perf_counter()
     with CompileClock() as compiling:
-        solution = solve_problem(problem, guess, method, progress=progress, throw=False)
+        solution = catalogue.solve(
+            mission,
+            method,
+            enforce=arguments.enforce,
+            nodes=arguments.nodes,
+            progress=progress,
+            throw=False,
+        )
         jax.block_until_ready(eqx.filter(solution, eqx.is_array))
     total = time.perf_counter() - began
     seconds = {"compile": compiling.seconds, "solve": total - compiling.seconds}
