@@ -94,10 +94,14 @@ def largest(
     shares, reach = samples[jnp.argmax(values, axis=0)], samples[1] - samples[0]
     low = jnp.maximum(shares - reach, ends[0])
     high = jnp.minimum(shares + reach, ends[1])
-    for _ in range(_REFINEMENTS):
+
+    # A loop, not its passes one by one: these take long to compile.
+    def refined(_, shares):
         slope, bend = derivatives(function, shares)
         move = jnp.where(bend < 0.0, -slope / jnp.where(bend < 0.0, bend, 1.0), 0.0)
         # Towards the end of a stretch that only rises.
         move = jnp.where(bend < 0.0, move, jnp.sign(slope) * reach)
-        shares = jnp.clip(shares + move, low, high)
+        return jnp.clip(shares + move, low, high)
+
+    shares = jax.lax.fori_loop(0, _REFINEMENTS, refined, shares)
     return jax.lax.stop_gradient(shares)

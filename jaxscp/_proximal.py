@@ -159,10 +159,10 @@ class ProximalSCP(AbstractSCP):
         """Whether the next model has all of the curvature.
 
         Not after virtual control was needed, nor after a subproblem that failed: without
-        convexity some do.
+        convexity some do. Nor with the multipliers of a step that was refused.
         """
-        taken = state.history.accepted[state.records - 1] > 0.0
-        sound = ~state.solution.effort.relaxed & (state.failures == 0) & taken
+        own = state.near | (state.history.accepted[state.records - 1] > 0.0)
+        sound = ~state.solution.effort.relaxed & (state.failures == 0) & own
         return sound & (state.optimality < self.close) & (self.curvature == "all")
 
     def _iterate(self, transcription: Transcription, state: SCPState) -> SCPState:
@@ -289,6 +289,10 @@ class ProximalSCP(AbstractSCP):
         judgement: Judgement,
     ) -> SCPState:
         trial, near = found.best, state.near
+        # A step too long leads to no better multipliers than those that led to it.
+        kept = dataclasses.replace(state.solution, effort=trial.solution.effort)
+        kept = tree_where(near & ~judgement.accepted, kept, trial.solution)
+        trial = dataclasses.replace(trial, solution=kept)
         limits = integral_limits(transcription, state.scaling)
         here = tree_where(judgement.accepted, trial.residuals, state.iterate.residuals)
         infeasible = worst_violation(here, limits) > self.feasibility_tolerance

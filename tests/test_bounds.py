@@ -129,3 +129,25 @@ def test_python_numbers_and_arrays_share_a_compilation():
     width(Bounds(0.0, 1.0, scale=1.0))
     width(Bounds(jnp.asarray(0.5), np.float64(2.0), scale=jnp.asarray(2.0)))
     assert len(traces) == 1
+
+
+def test_which_limits_there_are_is_found_from_the_values():
+    bounds = Bounds([-np.inf, 0.0], [1.0, np.inf])
+    assert bounds.limited == ((False, True), (True, False))
+
+
+def test_of_traced_limits_all_count_unless_told():
+    told = ((False, True), (False, False))
+    seen = []
+
+    def trace(lower):
+        seen.append(Bounds(lower, jnp.inf).limited)
+        seen.append(Bounds(lower, jnp.inf, limited=told).limited)
+
+    jax.eval_shape(trace, jnp.zeros(2))
+    assert seen == [((True, True), (True, True)), told]
+
+
+def test_limits_must_all_be_told():
+    with pytest.raises(ValueError, match=r"limited has 2, 1 entries for 2 limits"):
+        Bounds(jnp.zeros(2), jnp.ones(2), limited=((True, True), (True,)))

@@ -69,6 +69,22 @@ def test_solve_writes_what_was_asked_for(solved):
     assert (folder / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_limits_hold_between_the_nodes_unless_told_otherwise(solved):
+    _, folder = solved
+    report = json.loads((folder / "a.json").read_text())
+    assert report["violations"] == {}
+    assert main(["verify", str(folder / "a.npz"), "--enforce", "between"]) == 0
+
+
+def test_limits_at_the_nodes_alone_are_exceeded_between(tmp_path):
+    path = tmp_path / "nodes.json"
+    arguments = [*QUICK, "--enforce", "nodes", "--quiet", "--json", str(path)]
+    assert main(arguments) == 0
+    report = json.loads(path.read_text())
+    assert report["verified"] is True
+    assert {"roll", "pitch"} & set(report["violations"])
+
+
 def test_json_holds_the_contract(solved):
     report = json.loads((solved[1] / "a.json").read_text())
     assert set(report) == KEYS

@@ -58,6 +58,29 @@ def test_there_are_ten():
     assert missions.names() == NAMES
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_what_is_limited_is_known_of_traced_missions_too(name):
+    mission = missions.get(name)
+    state = mission.problem().state
+    found = tuple(
+        tuple(np.isfinite(limit).tolist()) for limit in (state.lower, state.upper)
+    )
+    assert state.limited == found
+    seen = []
+    jax.eval_shape(
+        lambda start: seen.append(
+            eqx.tree_at(lambda m: m.start, mission, start).problem().state.limited
+        ),
+        mission.start,
+    )
+    assert seen == [found]
+
+
+def test_where_limits_hold_has_two_answers():
+    with pytest.raises(ValueError, match="enforce='everywhere': choose 'nodes' or"):
+        missions.solve(missions.get("free-flight"), enforce="everywhere")
+
+
 def test_an_unknown_name_lists_the_known_ones():
     with pytest.raises(ValueError, match=r"'free-fligth': no such .*free-flight, urban"):
         missions.get("free-fligth")

@@ -171,6 +171,12 @@ VALUES = {
         lambda: tanks(integrals=integral(bounds=Bounds.exactly(np.inf))),
         r"integrals\['flow'\]\.bounds=inf is fixed but not finite; give a number",
     ),
+    "unseen limit": (
+        lambda: tanks(
+            state=Bounds(-np.ones(SIZE), 9.0, limited=((True,) * SIZE, (False,) * SIZE))
+        ),
+        r"state\[0\] is declared without a limit but has lower=-1 and upper=9; make it",
+    ),
     "NaN limit": (
         lambda: with_leaf(lambda p: p.control.upper, [1.0, np.nan]),
         r"control\[1\]: lower=-1 .* upper=nan.*; swap or widen",
