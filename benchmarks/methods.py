@@ -15,7 +15,7 @@ from .timing import timed_solve
 
 VARIANTS = {
     "default": jaxscp.ProximalSCP(),
-    "polished to 1e-8": jaxscp.ProximalSCP(tolerance=1e-8),
+    "polished to 1e-6": jaxscp.ProximalSCP(tolerance=1e-6),
     "no second-order correction": jaxscp.ProximalSCP(correction=False),
     "curvature without the dynamics'": jaxscp.ProximalSCP(curvature="nodes"),
     "curvature of the cost only": jaxscp.ProximalSCP(curvature="cost"),

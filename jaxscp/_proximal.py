@@ -56,7 +56,7 @@ class ProximalSCP(AbstractSCP):
     """
 
     tolerance: float = eqx.field(static=True, default=1e-8)
-    max_iterations: int = eqx.field(static=True, default=100)
+    max_iterations: int = eqx.field(static=True, default=300)
     max_polish: int = eqx.field(static=True, default=400)
     min_reduction: float = eqx.field(static=True, default=1e-7)
     feasibility_tolerance: float = eqx.field(static=True, default=1e-5)
