@@ -217,7 +217,7 @@ def test_output_may_be_a_device(capsys):
 def test_progress_is_for_terminals(terminal, capsys, monkeypatch):
     monkeypatch.setattr(sys.stdout, "isatty", lambda: terminal)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
-    assert main([*QUICK]) == 0
+    assert main([*QUICK, "--enforce", "nodes"]) == 0
     output = capsys.readouterr()
     assert "objective" in output.out
     lines = output.err.splitlines()
