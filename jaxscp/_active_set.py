@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._active_system import ActiveSystem, PerLimit, after_step
+from ._active_system import ActiveSystem, PerLimit
 from ._damping import Damping
 from ._model import Model
 from ._subproblem import SubproblemSolution
@@ -71,7 +71,7 @@ def _side(multiplier: Array, below: Array, above: Array) -> Array:
 
 def _rooms(model: Model, limits: Limits, step: Variables) -> tuple[PerLimit, PerLimit]:
     """The way to every lower and to every upper limit."""
-    after = after_step(model, step)
+    after = model.linear(step)
     low, high = _ends(limits)
     lowest, highest = limits.integral
     return (

@@ -12,11 +12,12 @@ import jax
 import jax.numpy as jnp
 
 from ._damping import Damping
-from ._model import Model, linear_prediction
+from ._max_norm import max_norm
+from ._model import Model
 from ._per_constraint import PerConstraint
 from ._riccati import Factors, Forced, Program, arranged, factorize, solve
 from ._subproblem import Effort, SubproblemSolution
-from ._transcription import Residuals, Variables, held
+from ._transcription import Residuals, Variables
 from ._types import Array, Float, Scalar
 
 # Weight of the squares that pull, and how often what they lack is added: each time leaves
@@ -137,7 +138,7 @@ class ActiveSystem(eqx.Module):
         tug = jax.grad(lambda step: self.pull.value(self.model, step))(step)
         squares = self.damping.curvature(self.model).plus(self.pull.curvature(self.model))
         program = arranged(
-            after_step(self.model, step),
+            self.model.linear(step),
             self.model.derivatives,
             self.model.curvature.plus(squares),
             jax.tree.map(jnp.add, slope, tug),
@@ -177,7 +178,7 @@ class ActiveSystem(eqx.Module):
         weight = self.weight
         pushes = jax.tree.map(lambda p, w, g: p + w * g, done.pushes, weight, gap)
         pulled = jax.tree.map(lambda w, g: jnp.where(w > 0.0, g, 0.0), weight, gap)
-        return _Pass(step, done.costates + more, pushes, _largest(pulled), done.count + 1)
+        return _Pass(step, done.costates + more, pushes, max_norm(pulled), done.count + 1)
 
     def _solution(self, done: _Pass) -> tuple[SubproblemSolution, Scalar]:
         """With the multipliers of what is forced, and what is left of the gradient."""
@@ -196,11 +197,11 @@ class ActiveSystem(eqx.Module):
             of_limits.final_time,
             Effort.of_linear_system(),
         )
-        return solution, _largest(left)
+        return solution, max_norm(left)
 
     def _gap(self, step: Variables) -> PerLimit:
         """How far each constraint is from its limit."""
-        after = after_step(self.model, step)
+        after = self.model.linear(step)
         return PerLimit(
             jax.tree.map(jnp.subtract, step, self.pull.centre),
             after.path,
@@ -222,7 +223,7 @@ class ActiveSystem(eqx.Module):
     def _whole_lagrangian(
         self, step: Variables, costates: Float[Array, "I n"], pushes: PerLimit
     ) -> Scalar:
-        totals, damping = after_step(self.model, step).totals, self.damping
+        totals, damping = self.model.linear(step).totals, self.damping
         squares = damping.integral * (totals - damping.target) ** 2
         of_totals = 0.5 * jnp.sum(squares) + jnp.vdot(pushes.integral, totals)
         return self._lagrangian(step, costates, pushes) + of_totals
@@ -244,14 +245,3 @@ def _forced(told: Variables, to_go: Variables, totals: int) -> Forced:
         (first(told, jnp.ones(totals)), first(to_go, jnp.zeros(totals))),
         (told.controls[own:], to_go.controls[own:]),
     )
-
-
-def after_step(model: Model, step: Variables) -> Residuals:
-    """What the linearized constraints are after a step."""
-    controls = held(step.controls, step.states.shape[0])
-    return linear_prediction(model.residuals, model.derivatives, step, controls)
-
-
-def _largest(parts) -> Scalar:
-    sizes = [jnp.max(jnp.abs(part), initial=0.0) for part in jax.tree.leaves(parts)]
-    return jnp.max(jnp.stack(sizes))

@@ -2,6 +2,7 @@
 
 import jax.numpy as jnp
 
+from ._max_norm import max_norm
 from ._per_constraint import PerConstraint
 from ._scaling import Scaling
 from ._transcription import Residuals, Transcription
@@ -31,16 +32,12 @@ def violations(residuals: Residuals, limits: tuple[Array, Array]) -> PerConstrai
 
 def largest_buffer(broken: PerConstraint) -> Scalar:
     """Largest violation of a path or integral constraint, at nodes or between."""
-    return jnp.maximum(
-        jnp.maximum(_largest(broken.path), _largest(broken.between)),
-        _largest(broken.integral),
-    )
+    return max_norm((broken.path, broken.between, broken.integral))
 
 
 def worst_violation(residuals: Residuals, limits: tuple[Array, Array]) -> Scalar:
     """Largest violation of any constraint."""
-    broken = violations(residuals, limits)
-    return jnp.maximum(_largest(broken.dynamics), largest_buffer(broken))
+    return max_norm(violations(residuals, limits))
 
 
 def penalized_cost(
@@ -55,7 +52,3 @@ def penalized_cost(
         + jnp.vdot(weights.between, broken.between)
         + jnp.vdot(weights.integral, broken.integral)
     )
-
-
-def _largest(amounts: Array) -> Scalar:
-    return jnp.max(amounts, initial=0.0)

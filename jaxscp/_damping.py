@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 
 from ._curvature import Curvature
-from ._model import Model, linear_prediction
-from ._transcription import Residuals, Variables, held
+from ._model import Model
+from ._transcription import Residuals, Variables
 from ._types import Array, Float
 
 
@@ -41,8 +41,7 @@ class Damping(eqx.Module):
 
     def value(self, model: Model, step: Variables) -> Array:
         """What a step costs, but for the integrals."""
-        controls = held(step.controls, step.states.shape[0])
-        after = linear_prediction(model.residuals, model.derivatives, step, controls)
+        after = model.linear(step)
         squares = jax.tree.map(
             lambda weight, at, centre: jnp.sum(weight * (at - centre) ** 2),
             self.step,

@@ -130,6 +130,9 @@ class Flow(eqx.Module):
 
     @property
     def watch(self) -> Watch:
+        """What is enforced on the way: nothing, if only the nodes matter."""
+        if not self.discretization.between:
+            return Watch((), (), 0)
         return Watch.of(self.problem)
 
     @property
@@ -237,7 +240,7 @@ class Flow(eqx.Module):
     def start(self, x: Float[Array, " n"]) -> Course:
         """The course before the first step."""
         parts = self.discretization.between
-        flat = jnp.full((parts, self.watch.size if parts else 0), -jnp.inf)
+        flat = jnp.full((parts, self.watch.size), -jnp.inf)
         sums = len(self.problem.integrals) + 1 if self.gathers else 0
         return Course(x, jnp.zeros(sums), Peaks(flat, jnp.zeros(flat.shape, int)))
 

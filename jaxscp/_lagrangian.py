@@ -115,8 +115,7 @@ def _interval_blocks(transcription, variables, substeps, multipliers) -> Array:
         rates = jnp.broadcast_to(rates, (intervals, rates.size))
         weights = jnp.concatenate([weights, rates], axis=1)
     parts = transcription.discretization.between
-    watched = transcription.watch.size if parts else 0
-    pushes = multipliers.between.reshape(intervals, parts, watched)
+    pushes = multipliers.between.reshape(intervals, parts, flow.watch.size)
 
     def block(start, width, x, left, right, weights, pushes):
         span = Span(start, width, left, right, variables.final_time)

@@ -32,6 +32,8 @@ CONTROL_UNITS = {
     "thrust": "N",
     **dict.fromkeys(("roll_torque", "pitch_torque", "yaw_torque"), "N m"),
 }
+# The states that have limits.
+_ALTITUDE, _TILTS = 2, slice(6, 8)
 # Typical size of each state, for the automatic scaling: how far it moves in a flight of
 # half a kilometre where no limit says so. NaN leaves roll and pitch to their limits.
 STATE_SCALES = np.array(
@@ -209,8 +211,8 @@ class _Figures(NamedTuple):
 def _figures(mission: Mission) -> _Figures:
     floor = -jnp.inf if mission.altitude_floor is None else mission.altitude_floor
     tilt = mission.limits.tilt
-    lower = jnp.full(12, -jnp.inf).at[2].set(floor).at[6:8].set(-tilt)
-    upper = jnp.full(12, jnp.inf).at[6:8].set(tilt)
+    lower = jnp.full(12, -jnp.inf).at[_ALTITUDE].set(floor).at[_TILTS].set(-tilt)
+    upper = jnp.full(12, jnp.inf).at[_TILTS].set(tilt)
     most = jnp.concatenate([mission.limits.thrust[None], mission.limits.torque])
     places, waiting = [mission.start, mission.goal], None
     if mission.data_required is not None:
@@ -246,9 +248,11 @@ def _figures(mission: Mission) -> _Figures:
 
 def _limited(floor: bool) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
     """Which states have a lower and which an upper limit: altitude, roll and pitch."""
-    tilts = (6, 7)
-    lower = tuple(entry in tilts or (floor and entry == 2) for entry in range(12))
-    return lower, tuple(entry in tilts for entry in range(12))
+    upper = np.zeros(12, bool)
+    upper[_TILTS] = True
+    lower = upper.copy()
+    lower[_ALTITUDE] = floor
+    return tuple(lower.tolist()), tuple(upper.tolist())
 
 
 def _at_rest(position: Float[Array, "3"]) -> Float[Array, "12"]:

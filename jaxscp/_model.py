@@ -10,7 +10,7 @@ from ._lagrangian import lagrangian_hessian, nodal_curvature
 from ._per_constraint import PerConstraint
 from ._scaling import Scaling
 from ._transcription import Derivatives, Residuals, Transcription, Variables, held
-from ._types import Array, Float
+from ._types import Array
 
 
 class Model(eqx.Module):
@@ -20,14 +20,18 @@ class Model(eqx.Module):
     derivatives: Derivatives
     curvature: Curvature
 
+    def linear(self, step: Variables) -> Residuals:
+        """The constraints after a scaled step; the objective as it was."""
+        return linear_prediction(self.residuals, self.derivatives, step)
+
     def predict(self, step: Variables) -> Residuals:
         """Residuals the model expects after a scaled step."""
-        controls = held(step.controls, step.states.shape[0])
-        after = linear_prediction(self.residuals, self.derivatives, step, controls)
+        after = self.linear(step)
         slope = cost_gradient(self.derivatives)
         change = jnp.vdot(slope.states, step.states)
         change += jnp.vdot(slope.controls, step.controls)
         change += slope.final_time * step.final_time
+        controls = held(step.controls, step.states.shape[0])
         z = jnp.concatenate([step.states, controls], axis=1)
         change += self.curvature.along(z, step.final_time)
         return dataclasses.replace(after, objective=self.residuals.objective + change)
@@ -50,13 +54,11 @@ def cost_gradient(derivatives: Derivatives) -> Variables:
 
 
 def linear_prediction(
-    residuals: Residuals,
-    derivatives: Derivatives,
-    step: Variables,
-    controls: Float[Array, "N m"],
+    residuals: Residuals, derivatives: Derivatives, step: Variables
 ) -> Residuals:
     """Constraints to first order; the objective as it was."""
     jacobians, nodes = derivatives.intervals, derivatives.nodes
+    controls = held(step.controls, step.states.shape[0])
     moved = (step.states, controls, step.final_time)
     path = jnp.einsum("kpn,kn->kp", nodes.path_state, step.states)
     path += jnp.einsum("kpm,km->kp", nodes.path_control, controls)

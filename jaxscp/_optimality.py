@@ -5,11 +5,12 @@ import jax
 import jax.numpy as jnp
 
 from ._constraints import integral_limits, worst_violation
+from ._max_norm import max_norm
 from ._model import cost_gradient, linear_prediction
 from ._scaling import Scaling
 from ._state import Iterate
 from ._subproblem import SubproblemSolution, step_limits
-from ._transcription import Transcription, Variables, held
+from ._transcription import Transcription, Variables
 from ._types import Array, Scalar
 
 
@@ -52,11 +53,9 @@ def optimality(
         _times(multipliers.between, residuals.between),
     ]
     return Optimality(
-        stationarity=_largest(
-            jax.tree.leaves(lagrangian_gradient(transcription, iterate, solution))
-        ),
+        stationarity=max_norm(lagrangian_gradient(transcription, iterate, solution)),
         feasibility=worst_violation(residuals, limits),
-        complementarity=_largest(products),
+        complementarity=max_norm(products),
     )
 
 
@@ -70,8 +69,7 @@ def lagrangian_gradient(
     still = jax.tree.map(jnp.zeros_like, solution.step)
 
     def constraints(step: Variables):
-        controls = held(step.controls, step.states.shape[0])
-        after = linear_prediction(iterate.residuals, iterate.derivatives, step, controls)
+        after = linear_prediction(iterate.residuals, iterate.derivatives, step)
         return after.defects, after.path, after.between, after.totals
 
     _, pull_back = jax.vjp(constraints, still)
@@ -96,7 +94,3 @@ def _products(multiplier: Array, below: Array, above: Array) -> Array:
 def _times(multiplier: Array, way: Array) -> Array:
     # An infinite limit is no limit, whatever trace of a multiplier it has.
     return jnp.abs(jnp.where(jnp.isfinite(way), multiplier * way, 0.0))
-
-
-def _largest(parts: list[Array]) -> Scalar:
-    return jnp.max(jnp.stack([jnp.max(jnp.abs(part), initial=0.0) for part in parts]))

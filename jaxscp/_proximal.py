@@ -50,8 +50,8 @@ class ProximalSCP(AbstractSCP):
         be brought below its tolerance, relative to the scales.
     - `initial_weight`: of the proximal term in the first subproblem.
     - `curvature`: of the model: "all", "nodes" (without the dynamics') or "cost".
-    - `correction`: whether poor steps, and all that polish, get a second-order
-        correction. On fine grids it costs as much as it saves; coarse ones need it.
+    - `correction`: whether poor steps, and those of polishing that leave the constraints,
+        get a second-order correction.
     - `qp`: the solver of the subproblems.
     """
 

@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "jaxscp"
 FLOORS = (
     {"_types", "_status", "_records", "plot._style"},
     {"_bounds", "_hold", "_qp", "_packed", "models._parameters", "models._smooth"},
-    {"_curvature", "_per_constraint"},
+    {"_curvature", "_max_norm", "_per_constraint"},
     {"_problem", "models.systems", "models.limits"},
     {"models.channel", "models.obstacles", "models.quadrotor"},
     {"_trajectory", "models", "textbook"},

@@ -84,31 +84,32 @@ def test_scales_from_the_first_source_that_tells():
     assert_allclose(scaling.objective, 150.0)
 
 
+def nothing_else_changed(prepared, name):
+    """All other scales are the same, and so is the scaled problem."""
+    (scaling, model, limits), base = prepared, parts_of()
+    same = dataclasses.replace(scaling, **{name: getattr(base.scaling, name)})
+    all_equal(same, base.scaling, rtol=1e-12)
+    all_equal((model, limits), (base.model, base.limits), rtol=1e-9, atol=1e-12)
+
+
 @pytest.mark.parametrize("factor", [1e6, 1e-6])
 def test_a_cost_in_other_units(factor):
     problem = problem_of(cost=factor)
     transcription = transcribed(problem)
-    scaling, model, limits = prepare(
-        transcription, flown(transcription), multipliers_of(transcription)
-    )
-    base = parts_of()
+    prepared = prepare(transcription, flown(transcription), multipliers_of(transcription))
+    scaling, base = prepared[0], parts_of()
     assert_allclose(scaling.objective, factor * base.scaling.objective, rtol=1e-12)
-    same = dataclasses.replace(scaling, objective=base.scaling.objective)
-    all_equal(same, base.scaling, rtol=1e-12)
-    all_equal((model, limits), (base.model, base.limits), rtol=1e-9, atol=1e-12)
+    nothing_else_changed(prepared, "objective")
 
 
 def test_states_in_other_units():
     unit = np.array([1e3, 1.0, 1e-2, 57.3])
     transcription = transcribed(problem_of(unit=tuple(unit)))
     there = flown(transcription, unit)
-    scaling, model, limits = prepare(transcription, there, multipliers_of(transcription))
-    base = parts_of()
+    prepared = prepare(transcription, there, multipliers_of(transcription))
+    scaling, base = prepared[0], parts_of()
     assert_allclose(scaling.state, unit * base.scaling.state, rtol=1e-12)
-    same = dataclasses.replace(scaling, state=base.scaling.state)
-    all_equal(same, base.scaling, rtol=1e-12)
-    # Nothing of it is left in the scaled problem.
-    all_equal((model, limits), (base.model, base.limits), rtol=1e-9, atol=1e-12)
+    nothing_else_changed(prepared, "state")
 
 
 def test_scales_of_nothing_known():
