@@ -17,11 +17,9 @@ from ._model import Model
 from ._subproblem import SubproblemSolution
 from ._subproblem_data import Limits
 from ._transcription import Variables
-from ._types import Array
+from ._types import Array, Scalar
 
-_ATTEMPTS = 4
-# Violations and wrong signs below it are rounding errors.
-_TIGHT = 1e-11
+_ATTEMPTS = 6
 
 
 def active_set_step(
@@ -29,8 +27,14 @@ def active_set_step(
     damping: Damping,
     limits: Limits,
     last: SubproblemSolution,
+    precision: Scalar,
 ) -> SubproblemSolution:
     """The step of a subproblem, from the active constraints of the one before.
+
+    **Arguments:**
+
+    - `precision`: violations and multipliers of the wrong sign that do not matter: which
+        of several limits that say nearly the same are active is then left open.
 
     **Returns:** with `solved` false in its effort where no set of active constraints was
     found, or where the damped model is not convex along them.
@@ -38,7 +42,10 @@ def active_set_step(
 
     def sides(solution: SubproblemSolution, step: Variables) -> PerLimit:
         multipliers = PerLimit.multipliers(solution)
-        return jax.tree.map(_side, multipliers, *_rooms(model, limits, step))
+        rooms = _rooms(model, limits, step)
+        return jax.tree.map(
+            lambda *of_limit: _side(*of_limit, precision), multipliers, *rooms
+        )
 
     def wrong(attempt):
         _, solution, count = attempt
@@ -46,13 +53,14 @@ def active_set_step(
 
     def again(attempt):
         tried, _, count = attempt
-        solution, sound = _with_active(model, damping, limits, tried, last)
+        system = _with_active(model, damping, limits, tried)
+        solution, convex, gap = system.solved(PerLimit.multipliers(last), precision)
         found = sides(solution, solution.step)
         same = jax.tree.map(lambda a, b: jnp.all(a == b), found, tried)
-        right = sound & jnp.all(jnp.stack(jax.tree.leaves(same)))
+        right = convex & (gap <= precision) & jnp.all(jnp.stack(jax.tree.leaves(same)))
         solution = eqx.tree_at(lambda s: s.effort.solved, solution, right)
         # Where it is not convex, further attempts are as hopeless.
-        return found, solution, jnp.where(sound, count + 1, _ATTEMPTS)
+        return found, solution, jnp.where(convex, count + 1, _ATTEMPTS)
 
     still = jax.tree.map(jnp.zeros_like, last.step)
     nothing = eqx.tree_at(lambda s: s.effort.solved, last, jnp.array(False))
@@ -60,10 +68,10 @@ def active_set_step(
     return jax.lax.while_loop(wrong, again, begun)[1]
 
 
-def _side(multiplier: Array, below: Array, above: Array) -> Array:
+def _side(multiplier: Array, below: Array, above: Array, precision: Scalar) -> Array:
     """The limit a constraint rests on: 1 the upper, -1 the lower, 0 neither."""
-    upper = multiplier - above > _TIGHT
-    lower = -multiplier - below > _TIGHT
+    upper = multiplier - above > precision
+    lower = -multiplier - below > precision
     # Between limits that coincide it rests on both.
     fixed = below + above <= 0.0
     return jnp.where(upper | fixed, 1.0, jnp.where(lower, -1.0, 0.0))
@@ -105,14 +113,9 @@ def _resting(side: Array, low: Array, high: Array) -> Array:
 
 
 def _with_active(
-    model: Model,
-    damping: Damping,
-    limits: Limits,
-    sides: PerLimit,
-    last: SubproblemSolution,
-) -> tuple[SubproblemSolution, Array]:
-    """The step with these constraints active, and whether it is a sound minimum."""
+    model: Model, damping: Damping, limits: Limits, sides: PerLimit
+) -> ActiveSystem:
+    """The conditions of a step with these constraints active."""
     targets = jax.tree.map(_resting, sides.variables, *_ends(limits))
     totals = _resting(sides.integral, *limits.integral)
-    system = ActiveSystem.of(model, damping, sides, targets, totals)
-    return system.solved(PerLimit.multipliers(last))
+    return ActiveSystem.of(model, damping, sides, targets, totals)

@@ -24,9 +24,9 @@ from ._types import Array, Float, Scalar
 # about a thousandth of the gap, more where a constraint hardly gives way.
 _FIRM = 1e4
 _PASSES = 12
-# Gaps below it are closed.
-_CLOSED = 1e-11
-# A gradient or a gap this large that ought to vanish: the recursion broke down.
+# Gaps below this share of the precision asked for are closed.
+_CLOSED = 0.1
+# A gradient this large that ought to vanish: the recursion broke down.
 _SOUND = 1e-9
 
 
@@ -108,12 +108,15 @@ class ActiveSystem(eqx.Module):
         pull = self.pull
         return PerLimit(pull.step, pull.path, pull.between, pull.integral)
 
-    def solved(self, pushes: PerLimit) -> tuple[SubproblemSolution, Array]:
-        """The step, and whether it is a sound minimum.
+    def solved(
+        self, pushes: PerLimit, precision: Scalar
+    ) -> tuple[SubproblemSolution, Array, Scalar]:
+        """The step, whether it is a minimum, and its gap: how far it is from the limits
+        that it ought to rest on, more than nothing where those contradict each other.
 
         **Arguments:**
 
-        - `pushes`: what pulled may start from.
+        - `pushes`: what pulled may start from. `precision`: a gap that does not matter.
         """
         still = jax.tree.map(jnp.zeros_like, self.told)
         pushes = jax.tree.map(
@@ -121,15 +124,15 @@ class ActiveSystem(eqx.Module):
         )
         costates = jnp.zeros_like(self.model.residuals.defects)
         begun = _Pass(still, costates, pushes, jnp.asarray(jnp.inf), jnp.zeros((), int))
-        factors = factorize(*self._left_at(begun))
+        factors, closed = factorize(*self._left_at(begun)), _CLOSED * precision
         done = jax.lax.while_loop(
-            lambda at: (at.count < 2) | ((at.count < _PASSES) & (at.gap > _CLOSED)),
+            lambda at: (at.count < 2) | ((at.count < _PASSES) & (at.gap > closed)),
             lambda at: self._refined(at, factors),
             begun,
         )
         solution, left = self._solution(done)
-        closed = (left <= _SOUND) & (done.gap <= _SOUND)
-        return solution, (factors.convexity > 0.0) & closed
+        convex = (factors.convexity > 0.0) & (left <= jnp.maximum(_SOUND, precision))
+        return solution, convex, done.gap
 
     def _left_at(self, done: _Pass) -> tuple[Program, Forced]:
         """What is left of every condition."""

@@ -1,5 +1,7 @@
 """`Curvature`: the Hessian of a cost by all variables, block by block."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax.numpy as jnp
 
@@ -94,6 +96,10 @@ class Curvature(eqx.Module):
             _sum(self.tail, other.tail),
         )
 
+    def with_blocks(self, more: Float[Array, "N w w"]) -> "Curvature":
+        """With blocks added at the nodes."""
+        return eqx.tree_at(lambda c: c.blocks, self, self.blocks + more)
+
     def scaled(self, sizes: Float[Array, " w"], time: Scalar) -> "Curvature":
         """By variables that are divided by their sizes."""
         m = 0 if self.ahead is None else self.ahead.shape[2]
@@ -129,6 +135,14 @@ def _sum(one: Array | None, other: Array | None) -> Array | None:
 
 def convex_part(matrix: Float[Array, "*b w w"]) -> Float[Array, "*b w w"]:
     """The matrices without their negative eigenvalues."""
+    return _with_eigenvalues(matrix, lambda values: jnp.maximum(values, 0.0))
+
+
+def magnitude(matrix: Float[Array, "*b w w"]) -> Float[Array, "*b w w"]:
+    """The matrices with the signs of their negative eigenvalues changed."""
+    return _with_eigenvalues(matrix, jnp.abs)
+
+
+def _with_eigenvalues(matrix: Array, change: Callable[[Array], Array]) -> Array:
     values, vectors = jnp.linalg.eigh(matrix)
-    kept = vectors * jnp.maximum(values, 0.0)[..., None, :]
-    return kept @ vectors.mT
+    return (vectors * change(values)[..., None, :]) @ vectors.mT

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 
 from ._active_set import active_set_step
 from ._constraints import integral_limits, worst_violation
+from ._curvature import Curvature, magnitude
 from ._damping import Damping
 from ._iteration import advance, is_finite, linearized, start, tree_where
 from ._layout import Structure
@@ -20,7 +21,7 @@ from ._search import Search, search
 from ._state import Judgement, SCPState
 from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
 from ._subproblem_data import Prices
-from ._transcription import Transcription, Variables
+from ._transcription import Residuals, Transcription, Variables
 from ._types import Array, Scalar
 
 
@@ -35,10 +36,11 @@ class ProximalSCP(AbstractSCP):
     enters only where those cannot be met.
 
     Far from a solution the model has the curvature of costs, path constraints and
-    integrals, made convex at each node; nearer to one all of the Lagrangian's, convex or
-    not, held to the active constraints. Close to it that is Newton's method with the
-    weight of Levenberg and Marquardt: the iterate is polished to a point that satisfies
-    the optimality conditions.
+    integrals, made convex at each node, and the trust region is narrow where the dynamics
+    curve: its measure adds the size of their curvature in the Lagrangian. Nearer to one
+    steps are tried with all of that curvature, convex or not, along the constraints that
+    were active. Close to it that is Newton's method with the weight of Levenberg and
+    Marquardt: the iterate is polished to a point that satisfies the optimality conditions.
 
     **Arguments:**
 
@@ -130,7 +132,7 @@ class ProximalSCP(AbstractSCP):
         """
         limit = jnp.where(state.near, 10.0 * self.far, self.near)
         small = (gap.stationarity <= limit) & (gap.feasibility <= 10.0 * limit)
-        return small & self._uses_exact(state)
+        return small & self._trusts_newton(state)
 
     def _adapted_radius(
         self, transcription: Transcription, before: SCPState, after: SCPState
@@ -155,25 +157,29 @@ class ProximalSCP(AbstractSCP):
         newton = 1.0 / (factor * residual * transcription.nodes)
         return jnp.where(state.near, jnp.minimum(state.radius, newton), state.radius)
 
-    def _uses_exact(self, state: SCPState) -> Array:
-        """Whether the next model has all of the curvature.
+    def _is_sound(self, state: SCPState) -> Array:
+        """Whether the multipliers are good for the dynamics' curvature.
 
-        Not after virtual control was needed, nor after a subproblem that failed: without
-        convexity some do. Nor with the multipliers of a step that was refused.
+        Not those of virtual control, nor those of a subproblem that failed.
+        """
+        sound = ~state.solution.effort.relaxed & (state.failures == 0)
+        return sound & (self.curvature == "all")
+
+    def _trusts_newton(self, state: SCPState) -> Array:
+        """Whether the next step is tried with all of the curvature, convex or not.
+
+        Not with the multipliers of a step that was refused.
         """
         own = state.near | (state.history.accepted[state.records - 1] > 0.0)
-        sound = ~state.solution.effort.relaxed & (state.failures == 0) & own
-        return sound & (state.optimality < self.close) & (self.curvature == "all")
+        return self._is_sound(state) & own & (state.optimality < self.close)
 
     def _iterate(self, transcription: Transcription, state: SCPState) -> SCPState:
-        model = self._model(transcription, state)
-        damping = self._damping(transcription, state, model)
+        curvatures = self._curvatures(transcription, state)
         poor = jnp.asarray(self.correction_ratio if self.correction else -jnp.inf)
         found, judgement = search(
             transcription,
             state,
-            model,
-            solve=lambda around: self._solve(transcription, state, around, damping),
+            solve=lambda around: self._solve(transcription, state, around, curvatures),
             follow=lambda to: following(state.weights, to, state.ceiling),
             accept_ratio=self.accept_ratio,
             # Of a polishing step what counts is whether it stays feasible.
@@ -189,16 +195,24 @@ class ProximalSCP(AbstractSCP):
         judgement = dataclasses.replace(judgement, accepted=accepted)
         return self._advance(transcription, state, found, judgement)
 
-    def _model(self, transcription: Transcription, state: SCPState) -> Model:
+    def _curvatures(
+        self, transcription: Transcription, state: SCPState
+    ) -> tuple[Curvature, Curvature]:
+        """A convex curvature, and one with all of the Lagrangian's.
+
+        Where the Lagrangian curves along the dynamics no convex model is right, but how
+        strongly it does tells how far a model without it can be trusted: that much
+        curvature, of whatever sign, is added in the trust region's measure.
+        """
         iterate, multipliers = state.iterate, state.solution.multipliers
         point = (transcription, state.scaling, iterate.variables)
         share = 0.0 if self.curvature == "cost" else 1.0
+        weighed = jax.tree.map(lambda leaf: share * leaf, multipliers)
+        convex = nodewise_curvature(*point, weighed)
+        if self.curvature != "all":
+            return convex, convex
 
-        def nodewise():
-            weighed = jax.tree.map(lambda leaf: share * leaf, multipliers)
-            return nodewise_curvature(*point, weighed)
-
-        def exact():
+        def with_dynamics():
             settings, steps = transcription.discretization, iterate.substeps
             # Half the steps tell the curvature well enough to converge fast, but would
             # have peaks elsewhere.
@@ -206,25 +220,24 @@ class ProximalSCP(AbstractSCP):
                 steps = jnp.maximum((steps + 1) // 2, settings.least_substeps)
             return exact_curvature(*point, steps, multipliers)
 
-        if self.curvature == "all":
-            curvature = jax.lax.cond(self._uses_exact(state), exact, nodewise)
-        else:
-            curvature = nodewise()
-        return Model(iterate.residuals, iterate.derivatives, curvature)
+        exact = jax.lax.cond(self._is_sound(state), with_dynamics, lambda: convex)
+        doubt = magnitude(exact.blocks - convex.blocks) / state.radius
+        doubt = jnp.where(state.near, 0.0, doubt)
+        return convex.with_blocks(doubt), exact.with_blocks(doubt)
 
     def _damping(
         self, transcription: Transcription, state: SCPState, model: Model
     ) -> Damping:
         """The proximal term and, where the model is not convex, the hold of what is
         active."""
-        last, exact = state.solution, self._uses_exact(state)
+        last, near = state.solution, state.near
         weight = 1.0 / self._trust(transcription, state)
         share = weight / transcription.nodes
 
         def hold(multiplier: Array) -> Array:
             size = jnp.abs(multiplier)
             # PIQP leaves traces on limits that are not active.
-            firm = exact & (size > 1e-7)
+            firm = near & (size > 1e-7)
             return jnp.minimum(100.0 * jnp.where(firm, size, 0.0), 1e3)
 
         free = jnp.where(transcription.fixed_states, 0.0, last.state)
@@ -233,7 +246,7 @@ class ProximalSCP(AbstractSCP):
         step = Variables(
             hold(free) + share,
             hold(last.control) + share,
-            jnp.where(state.near, share, weight),
+            jnp.where(near, share, weight),
         )
         lower, upper = integral_limits(transcription, state.scaling)
         active = jnp.where(last.multipliers.integral > 0.0, upper, lower)
@@ -249,37 +262,46 @@ class ProximalSCP(AbstractSCP):
         self,
         transcription: Transcription,
         state: SCPState,
-        model: Model,
-        damping: Damping,
-    ) -> SubproblemSolution:
-        residuals, ceiling = model.residuals, state.ceiling
-        structure = Structure.of(transcription)
-        intervals = transcription.nodes - 1
+        around: Residuals,
+        curvatures: tuple[Curvature, Curvature],
+    ) -> tuple[SubproblemSolution, Model]:
+        """The step of the model with all of the curvature where that has a minimum along
+        the constraints that were active, of the convex one elsewhere."""
+        ceiling, structure = state.ceiling, Structure.of(transcription)
+        derivatives = state.iterate.derivatives
+        convex, exact = (Model(around, derivatives, each) for each in curvatures)
+        # Next to a solution that of a QP, held to the active constraints, is exact, too.
+        convex = tree_where(state.near, exact, convex)
+        damping = self._damping(transcription, state, convex)
         prices = Prices(
-            virtual_control=jnp.full_like(residuals.defects, ceiling),
-            path=jnp.full_like(residuals.path, ceiling),
-            limit=jnp.full((intervals, structure.limits), ceiling),
-            integral=jnp.full_like(residuals.totals, ceiling),
+            virtual_control=jnp.full_like(around.defects, ceiling),
+            path=jnp.full_like(around.path, ceiling),
+            limit=jnp.full((transcription.nodes - 1, structure.limits), ceiling),
+            integral=jnp.full_like(around.totals, ceiling),
             radius=jnp.zeros(()),
             # As exact as the way still to go deserves.
             precision=jnp.clip(1e-5 * state.optimality, 1e-10, 1e-7),
-            relax=jnp.where(self._uses_exact(state), 0.0, 1.0),
+            relax=jnp.where(state.near, 0.0, 1.0),
         )
         limits = step_limits(transcription, state.scaling, state.iterate.variables)
 
-        def by_guess():
-            return active_set_step(model, damping, limits, state.solution)
-
         def by_qp():
-            args = (structure, self.qp, model, damping, prices, limits)
+            args = (structure, self.qp, convex, damping, prices, limits)
             return solve_subproblem(*args)
 
         if self.curvature != "all":
-            return by_qp()
+            return by_qp(), convex
+        matters = jnp.maximum(1e-3 * state.optimality, 1e-11)
         nothing = SubproblemSolution.none(structure)
         nothing = eqx.tree_at(lambda s: s.effort.solved, nothing, jnp.array(False))
-        guessed = jax.lax.cond(state.near, by_guess, lambda: nothing)
-        return jax.lax.cond(guessed.effort.solved, lambda: guessed, by_qp)
+        newton = jax.lax.cond(
+            self._trusts_newton(state),
+            lambda: active_set_step(exact, damping, limits, state.solution, matters),
+            lambda: nothing,
+        )
+        found = newton.effort.solved
+        solution = jax.lax.cond(found, lambda: newton, by_qp)
+        return solution, tree_where(found, exact, convex)
 
     def _advance(
         self,
@@ -331,5 +353,8 @@ class ProximalSCP(AbstractSCP):
         change = jnp.where(ratio > self.good_ratio, factor, change)
         # A model that is right so far is right farther out.
         change = jnp.where(jnp.abs(ratio - 1.0) < 0.15, 2.0 * factor, change)
+        # What was too far a moment ago still is.
+        last = state.history.accepted[jnp.maximum(state.records - 1, 0)]
+        change = jnp.where(last == 0.0, jnp.minimum(change, 1.0), change)
         polishing = jnp.where(judgement.accepted, 1.0, 1.0 / factor**2)
         return state.radius * jnp.where(state.near, polishing, change)

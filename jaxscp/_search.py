@@ -36,8 +36,7 @@ class Search(eqx.Module):
 def search(
     transcription: Transcription,
     state: SCPState,
-    model: Model,
-    solve: Callable[[Model], SubproblemSolution],
+    solve: Callable[[Residuals], tuple[SubproblemSolution, Model]],
     follow: Callable[[PerConstraint], PerConstraint],
     *,
     accept_ratio: float,
@@ -53,14 +52,16 @@ def search(
 
     **Arguments:**
 
-    - `solve`: the subproblem of a model. `follow`: penalty weights from multipliers.
+    - `solve`: the subproblem around some residuals, and the model it took with those of
+        the reference. `follow`: penalty weights from multipliers.
     - `accept_ratio`: as in the ratio test. `correction_ratio`: below it a step is poor.
     - `feasibility`: a step that violates a constraint by more is poor, too.
     """
     limits = integral_limits(transcription, state.scaling)
+    here = state.iterate.residuals
 
     def judged(found: Search) -> Judgement:
-        reference = penalized_cost(model.residuals, limits, found.weights)
+        reference = penalized_cost(here, limits, found.weights)
         expected = penalized_cost(found.expected, limits, found.weights)
         return judge(reference, reference - expected, found.best, accept_ratio)
 
@@ -72,8 +73,8 @@ def search(
 
     def attempt(found: Search) -> Search:
         first, best = found.passes == 0, found.best
-        shifted = dataclasses.replace(model, residuals=found.around)
-        solution = _or_stay(solve(shifted), state.solution)
+        solution, model = solve(found.around)
+        solution = _or_stay(solution, state.solution)
         weights = tree_where(first, follow(solution.multipliers), found.weights)
         expected = tree_where(first, model.predict(solution.step), found.expected)
         trial = try_step(transcription, state.scaling, state.iterate, solution, weights)
@@ -82,10 +83,10 @@ def search(
             tree_where(better, trial, best),
             solution=_combined(first, better, solution, best.solution),
         )
-        around = _corrected(model.residuals, trial.residuals, expected)
+        around = _corrected(here, trial.residuals, expected)
         return Search(found.passes + 1, around, weights, expected, chosen)
 
-    zero, here = jnp.zeros(()), model.residuals
+    zero = jnp.zeros(())
     nowhere = Trial(state.solution, state.iterate.variables, here, zero + jnp.inf, zero)
     found = Search(jnp.zeros((), int), here, state.weights, here, nowhere)
     found = jax.lax.while_loop(again, attempt, found)

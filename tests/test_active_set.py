@@ -40,7 +40,8 @@ from jaxscp._transcription import Derivatives, Variables
 
 solve = quick_jit(solve_subproblem)
 predict = quick_jit(Model.predict)
-step_from = quick_jit(active_set_step)
+PRECISION = 1e-11
+step_from = quick_jit(lambda *args: active_set_step(*args, jnp.asarray(PRECISION)))
 
 
 class Power(eqx.Module):
