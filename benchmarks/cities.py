@@ -5,24 +5,26 @@ import numpy as np
 from jaxscp.missions import BITS_PER_MEGABYTE, GuessPlan, Mission
 from jaxscp.models import Channel, Cylinders, Limits, Quadrotor
 
-# East and north from 0 to SIZE, altitudes of both ends, height of the antenna [m].
-SIZE, ALTITUDES, ANTENNA = 600.0, (10.0, 120.0), (0.0, 30.0)
+# East and north from 0 to SIZE, heights of the antenna, and of both ends at most [m].
+SIZE, ANTENNA, CEILING = 600.0, (0.0, 30.0), 120.0
 # Start and goal are at least so far apart [m].
 APART = 100.0
+BUILDINGS = (0, 2, 4, 6)
 SAFE_DISTANCES = (15.0, 50.0)
-MOST_BUILDINGS = 6
 # Free space around buildings: to each other, and to places the vehicle must reach [m].
 PASSAGE = 10.0
 MEGABYTES = (10.0, 60.0)
 SNR_CONSTANT = 1e6
+# As in the paper's missions the floor lies above the antenna [m]: flying into it, where
+# the rate is infinite, would be best.
 FLOOR = 10.0
 
 
 def random_mission(seed: int, index: int) -> Mission:
     """Mission number `index` of a seed, whichever others are drawn.
 
-    Numbers count through 0 to 6 buildings, seven missions without data, then seven with.
-    Every mission can be flown:
+    Numbers count through 0, 2, 4 and 6 buildings, first without data, then with: eight
+    structures, each to be compiled once. Every mission can be flown:
 
     - Circles that do not touch leave the plane in one piece. The safe circles keep 10 m
         from each other, from start and goal, and from the place above the antenna: a
@@ -31,11 +33,13 @@ def random_mission(seed: int, index: int) -> Mission:
     - 30 m above the antenna 8.6 Mbit/s arrive: all data are sent in a minute there.
     """
     generator = np.random.default_rng([seed, index])
-    needs_data = index // (MOST_BUILDINGS + 1) % 2 == 1
-    start, goal = _ends(generator)
-    station = _place(generator, ANTENNA)
+    count = BUILDINGS[index % len(BUILDINGS)]
+    needs_data = index // len(BUILDINGS) % 2 == 1
+    station = _place(generator, *ANTENNA)
+    floor = station[2] + FLOOR
+    start, goal = _ends(generator, floor)
     places = [start, station, goal] if needs_data else [start, goal]
-    obstacles = _buildings(generator, index % (MOST_BUILDINGS + 1), np.array(places))
+    obstacles = _buildings(generator, count, np.array(places))
     amount = generator.uniform(*MEGABYTES) * BITS_PER_MEGABYTE
     return Mission(
         # All have one name: to JAX, missions that differ in it differ in structure.
@@ -46,21 +50,23 @@ def random_mission(seed: int, index: int) -> Mission:
         limits=Limits(),
         start=start,
         goal=goal,
-        altitude_floor=FLOOR if needs_data else None,
+        altitude_floor=floor if needs_data else None,
         data_required=amount if needs_data else None,
         plan=GuessPlan(),
     )
 
 
-def _place(generator: np.random.Generator, heights: tuple[float, float]) -> np.ndarray:
+def _place(generator: np.random.Generator, lowest: float, highest: float) -> np.ndarray:
     """A position anywhere in the city."""
-    return np.array([*generator.uniform(0.0, SIZE, 2), generator.uniform(*heights)])
+    return np.array(
+        [*generator.uniform(0.0, SIZE, 2), generator.uniform(lowest, highest)]
+    )
 
 
-def _ends(generator: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+def _ends(generator: np.random.Generator, floor: float) -> tuple[np.ndarray, np.ndarray]:
     """Start and goal."""
     while True:
-        start, goal = _place(generator, ALTITUDES), _place(generator, ALTITUDES)
+        start, goal = (_place(generator, floor, CEILING) for _ in range(2))
         if np.hypot(*(goal - start)[:2]) >= APART:
             return start, goal
 
