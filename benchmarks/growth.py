@@ -47,6 +47,7 @@ def measure(name: str, nodes: int, repeats: int) -> dict:
         "iterations": iterations,
         "polish_iterations": polish,
         "subproblems": int(statistic.subproblems),
+        "qp_iterations": int(statistic.qp_iterations),
         "substeps": int(statistic.substeps),
         "cold_seconds": cold,
         "warm_seconds": warm,
