@@ -72,10 +72,11 @@ def figure(by_mission: dict[str, list[dict]], path: Path) -> None:
         power = exponent(rows, "seconds_per_iteration")
         times.loglog(nodes, seconds, "o-", label=f"{name}: N^{power:.2f}")
         first = [row["iterations"] for row in rows]
-        every = [row["iterations"] + row["polish_iterations"] for row in rows]
+        total = [row["iterations"] + row["polish_iterations"] for row in rows]
         (drawn,) = counts.semilogx(nodes, first, "o-", label=f"{name}, before polishing")
-        counts.semilogx(nodes, every, "o:", color=drawn.get_color(), label="... in all")
-    ends = np.array([min(nodes), max(nodes)])
+        counts.semilogx(nodes, total, "o:", color=drawn.get_color(), label="... in all")
+    every = [row["nodes"] for rows in by_mission.values() for row in rows]
+    ends = np.array([min(every), max(every)])
     times.loglog(ends, seconds[0] * ends / ends[0], "k--", lw=0.8, label="N")
     times.set(xlabel="nodes N", ylabel="processor time per iteration [s]")
     counts.set(xlabel="nodes N", ylabel="iterations", ylim=(0, None))
