@@ -5,9 +5,6 @@ guess's place: the same. Accuracy stands beside time.
 """
 
 import argparse
-import json
-import platform
-from importlib.metadata import version
 from pathlib import Path
 
 import jax
@@ -15,6 +12,7 @@ import jax
 import jaxscp
 from jaxscp import missions
 
+from .report import write_report
 from .timing import timed_solve
 
 # Objective [N^2 s] that IPOPT (tolerance 1e-8) reached on the same discrete problem:
@@ -73,14 +71,7 @@ def main() -> None:
             flush=True,
         )
     if arguments.json:
-        packages = ("jax", "jaxlib", "piqp", "numpy", "equinox")
-        facts = {
-            "machine": platform.machine(),
-            "python": platform.python_version(),
-            "versions": {package: version(package) for package in packages},
-        }
-        text = json.dumps({"facts": facts, "missions": rows}, indent=2)
-        arguments.json.write_text(text + "\n")
+        write_report(arguments.json, missions=rows)
 
 
 if __name__ == "__main__":

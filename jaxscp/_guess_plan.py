@@ -24,7 +24,9 @@ class GuessPlan(eqx.Module):
 
     **Arguments:**
 
-    - `cruise_speed`: mean speed between the places it visits [m/s].
+    - `cruise_speed`: mean speed between the places where it rests [m/s].
+    - `acceleration`: with which it gets up to speed and down again, on ways too short
+        for that mean speed [m/s^2].
     - `loiter_height`: height above the ground station at which it waits [m], unless
         the mission's altitude floor is higher.
     - `transit_share`: share of the nodes outside the wait, above 0 and at most 0.99.
@@ -35,6 +37,7 @@ class GuessPlan(eqx.Module):
     """
 
     cruise_speed: Scalar
+    acceleration: Scalar
     loiter_height: Scalar
     transit_share: Scalar | None
     detour_margin: Scalar
@@ -42,12 +45,16 @@ class GuessPlan(eqx.Module):
     def __init__(
         self,
         cruise_speed: Numbers = 28.5,
+        acceleration: Numbers = 5.0,
         loiter_height: Numbers = 30.0,
         transit_share: Numbers | None = None,
         detour_margin: Numbers = 1.5,
     ):
         self.cruise_speed = parameter(
             "GuessPlan.cruise_speed", cruise_speed, above=0.0, unit="m/s"
+        )
+        self.acceleration = parameter(
+            "GuessPlan.acceleration", acceleration, above=0.0, unit="m/s^2"
         )
         self.loiter_height = parameter(
             "GuessPlan.loiter_height", loiter_height, above=0.0, unit="m"
@@ -123,7 +130,7 @@ class GuessPlan(eqx.Module):
         """
         places = route[:, :3]
         lengths = jnp.linalg.norm(jnp.diff(places, axis=0), axis=1)
-        legs = jnp.concatenate([jnp.zeros(1), lengths / self.cruise_speed])
+        legs = jnp.concatenate([jnp.zeros(1), self._seconds(lengths, waiting)])
         moving = jnp.sum(legs)
         shortest, longest = final_time_range
         if waiting is None or data_required is None:
@@ -145,6 +152,21 @@ class GuessPlan(eqx.Module):
         if waiting is not None:
             stays = stays.at[waiting].set(wait)
         return legs * (total - wait) / jnp.where(moving > 0, moving, 1.0), stays
+
+    def _seconds(
+        self, lengths: Float[Array, " l"], waiting: int | None
+    ) -> Float[Array, " l"]:
+        """How long each leg takes, not faster than from rest to rest.
+
+        From a guess that is too fast for the limits a solve may not find back.
+        """
+        seconds = []
+        for part in jnp.split(lengths, [] if waiting is None else [waiting]):
+            # Half the way speeding up, half slowing down.
+            mean = 0.5 * jnp.sqrt(self.acceleration * jnp.sum(part))
+            speed = jnp.minimum(self.cruise_speed, mean)
+            seconds.append(part / jnp.where(speed > 0.0, speed, 1.0))
+        return jnp.concatenate(seconds)
 
     @eqx.filter_jit
     def fly(

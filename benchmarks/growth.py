@@ -1,0 +1,132 @@
+"""How a solve grows with the number of nodes: python -m benchmarks.growth
+
+Each mission is solved from its own guess with 50 to 2,000 nodes, default settings and
+limits at the nodes. Time per iteration is that of a whole warm solve, divided by all
+its iterations, those that polish included: processor time, which other programs on the
+machine hardly change.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+
+import jaxscp
+from jaxscp import missions
+
+from .report import write_report
+from .timing import timed_solve
+
+MISSIONS = ("free-flight", "free-space-30MB-60dB")
+NODES = (50, 100, 200, 400, 800, 1200, 2000)
+FIGURE = Path(__file__).parent / "figures" / "growth.png"
+
+
+def measure(name: str, nodes: int, repeats: int) -> dict:
+    """One mission with so many nodes; seconds are wall-clock, but for `cpu_seconds`."""
+    mission = missions.get(name)
+    problem, guess = mission.problem(), mission.guess(nodes)
+    _, cold, warm = timed_solve(problem, guess, repeats)
+    begun = time.process_time()
+    solution = jax.block_until_ready(jaxscp.solve(problem, guess, throw=False))
+    cpu = time.process_time() - begun
+    statistic = solution.statistics
+    iterations, polish = int(statistic.iterations), int(statistic.polish_iterations)
+    return {
+        "mission": name,
+        "nodes": nodes,
+        "status": solution.message,
+        "converged": bool(solution.converged),
+        "polished": bool(solution.polished),
+        "verified": jaxscp.verify(problem, solution).verified,
+        "objective": float(solution.objective),
+        "optimality": float(solution.optimality),
+        "iterations": iterations,
+        "polish_iterations": polish,
+        "subproblems": int(statistic.subproblems),
+        "qp_iterations": int(statistic.qp_iterations),
+        "substeps": int(statistic.substeps),
+        "cold_seconds": cold,
+        "warm_seconds": warm,
+        "cpu_seconds": cpu,
+        "piqp_seconds": float(statistic.qp_seconds),
+        "seconds_per_iteration": cpu / (iterations + polish),
+    }
+
+
+def exponent(rows: list[dict], of: str) -> float:
+    """The power of the number of nodes that fits best."""
+    nodes, values = ([row[what] for row in rows] for what in ("nodes", of))
+    return float(np.polyfit(np.log(nodes), np.log(values), 1)[0])
+
+
+def figure(by_mission: dict[str, list[dict]], path: Path) -> None:
+    """Time per iteration and number of iterations over the number of nodes."""
+    drawing, (times, counts) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
+    for name, rows in by_mission.items():
+        nodes = [row["nodes"] for row in rows]
+        seconds = [row["seconds_per_iteration"] for row in rows]
+        power = exponent(rows, "seconds_per_iteration")
+        times.loglog(nodes, seconds, "o-", label=f"{name}: N^{power:.2f}")
+        first = [row["iterations"] for row in rows]
+        total = [row["iterations"] + row["polish_iterations"] for row in rows]
+        (drawn,) = counts.semilogx(nodes, first, "o-", label=f"{name}, before polishing")
+        counts.semilogx(nodes, total, "o:", color=drawn.get_color(), label="... in all")
+    every = [row["nodes"] for rows in by_mission.values() for row in rows]
+    ends = np.array([min(every), max(every)])
+    times.loglog(ends, seconds[0] * ends / ends[0], "k--", lw=0.8, label="N")
+    times.set(xlabel="nodes N", ylabel="processor time per iteration [s]")
+    counts.set(xlabel="nodes N", ylabel="iterations", ylim=(0, None))
+    for axes in (times, counts):
+        axes.legend(fontsize=8)
+        axes.grid(alpha=0.3)
+    path.parent.mkdir(exist_ok=True)
+    drawing.savefig(path, dpi=120)
+    plt.close(drawing)
+
+
+def line(row: dict) -> str:
+    """A row of the table, in Markdown."""
+    return (
+        f"| {row['mission']} | {row['nodes']} | {row['objective']:,.2f}"
+        f" | {row['iterations']} + {row['polish_iterations']} | {row['subproblems']}"
+        f" | {row['optimality']:.0e} | {row['warm_seconds']:.2f}"
+        f" | {row['cpu_seconds']:.2f}"
+        f" | {1e3 * row['seconds_per_iteration']:.1f}"
+        f" | {'yes' if row['polished'] else 'roughly' if row['converged'] else 'no'}"
+        f" | {'yes' if row['verified'] else 'no'} |"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--missions", nargs="*", default=list(MISSIONS))
+    parser.add_argument("--nodes", type=int, nargs="*", default=list(NODES))
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    parser.add_argument("--figure", type=Path, help="where to draw it", default=FIGURE)
+    arguments = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    print(
+        "| mission | N | objective | iterations + polish | QPs | residual | s | CPU s"
+        " | CPU ms an iteration | converged | verified |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|---|---|")
+    by_mission: dict[str, list[dict]] = {name: [] for name in arguments.missions}
+    for nodes in arguments.nodes:
+        for name, rows in by_mission.items():
+            rows.append(measure(name, nodes, arguments.repeats))
+            print(line(rows[-1]), flush=True)
+        if arguments.json:
+            write_report(arguments.json, missions=by_mission)
+    for name, rows in by_mission.items():
+        power = exponent(rows, "seconds_per_iteration")
+        print(f"{name}: time per iteration grows as N^{power:.2f}")
+    figure(by_mission, arguments.figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,130 @@
+"""How many random missions are solved: python -m benchmarks.random_missions
+
+Each of `cities.random_mission` is solved with default settings from its own guess, and
+judged by `jaxscp.verify`. All can be flown. Those of one structure (number of buildings,
+with data or without) share a compiled program, of which the times are without. They are
+processor time, which other programs on the machine hardly change.
+"""
+
+import argparse
+import time
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import jaxscp
+from jaxscp import missions
+
+from .cities import random_mission
+from .report import write_report
+
+
+def solve(mission: missions.Mission, arguments: argparse.Namespace):
+    """The solution, and seconds of the processor."""
+    begun = time.process_time()
+    solution = missions.solve(
+        mission, enforce=arguments.enforce, nodes=arguments.nodes, throw=False
+    )
+    jax.block_until_ready(solution)
+    return solution, time.process_time() - begun
+
+
+def measure(index: int, compiled: set, arguments: argparse.Namespace) -> dict:
+    """Solve one mission, once more if its structure was new, and verify it."""
+    mission = random_mission(arguments.seed, index)
+    solution, seconds = solve(mission, arguments)
+    structure = (mission.obstacles.count, mission.data_required is not None)
+    if structure not in compiled:
+        compiled.add(structure)
+        solution, seconds = solve(mission, arguments)
+    verification = jaxscp.verify(
+        mission.problem(), solution, between=arguments.enforce == "between"
+    )
+    statistic = solution.statistics
+    return {
+        "index": index,
+        "buildings": mission.obstacles.count,
+        "megabytes": None
+        if mission.data_required is None
+        else float(mission.data_required) / missions.BITS_PER_MEGABYTE,
+        "converged": bool(solution.converged),
+        "polished": bool(solution.polished),
+        "verified": verification.verified,
+        "message": solution.message,
+        "verification": None if verification.verified else str(verification),
+        "objective": float(solution.objective),
+        "final_time": float(solution.trajectory.final_time),
+        "optimality": float(solution.optimality),
+        "iterations": int(statistic.iterations),
+        "polish_iterations": int(statistic.polish_iterations),
+        "subproblems": int(statistic.subproblems),
+        "cpu_seconds": seconds,
+    }
+
+
+def summary(rows: list[dict]) -> dict:
+    """Counts, and the middle, the slowest tenth and the worst of what it took."""
+    solved = [row for row in rows if row["converged"] and row["verified"]]
+    spread = {
+        what: dict(
+            zip(
+                ("median", "90 %", "max"),
+                np.quantile([row[what] for row in rows], (0.5, 0.9, 1.0)).tolist(),
+                strict=True,
+            )
+        )
+        for what in ("iterations", "polish_iterations", "subproblems", "cpu_seconds")
+    }
+    return {
+        "missions": len(rows),
+        "converged_and_verified": len(solved),
+        "of_those_polished": sum(row["polished"] for row in solved),
+        "converged_not_verified": sum(
+            row["converged"] and not row["verified"] for row in rows
+        ),
+        "not_converged": [row["index"] for row in rows if not row["converged"]],
+        **spread,
+    }
+
+
+def line(row: dict) -> str:
+    """A row for the eye; what went wrong with it in full."""
+    data = "no data" if row["megabytes"] is None else f"{row['megabytes']:.0f} MB"
+    text = (
+        f"{row['index']:4d}  {row['buildings']} buildings, {data:8}"
+        f"{row['objective']:11.1f} N^2 s  {row['iterations']:3d}"
+        f" + {row['polish_iterations']:3d} to {row['optimality']:.0e}"
+        f"  {row['cpu_seconds']:6.2f} s  converged: {row['converged']}"
+        f"  verified: {row['verified']}"
+    )
+    wrong = [] if row["polished"] else [row["message"]]
+    if row["converged"] and not row["verified"]:
+        wrong.append(row["verification"])
+    return "\n".join([text, *wrong])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--only", type=int, nargs="*", help="numbers of single missions")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--enforce", choices=("nodes", "between"), default="nodes")
+    parser.add_argument("--nodes", type=int, default=100)
+    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    arguments = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    rows, compiled = [], set()
+    for index in arguments.only or range(arguments.count):
+        rows.append(measure(index, compiled, arguments))
+        print(line(rows[-1]), flush=True)
+        # As it goes: a run takes a quarter of an hour.
+        if arguments.json:
+            settings = {"seed": arguments.seed, "enforce": arguments.enforce}
+            write_report(arguments.json, **settings, summary=summary(rows), missions=rows)
+    for what, value in summary(rows).items():
+        print(f"{what}: {value}")
+
+
+if __name__ == "__main__":
+    main()
