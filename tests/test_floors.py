@@ -15,7 +15,7 @@ FLOORS = (
     {"_curvature", "_max_norm", "_per_constraint"},
     {"_problem", "models.systems", "models.limits"},
     {"models.channel", "models.obstacles", "models.quadrotor"},
-    {"_trajectory", "models", "textbook"},
+    {"_trajectory", "_routes", "models", "textbook"},
     {"_discretization", "_repropagation", "_limit_checks"},
     {"_peaks", "_verification", "_diagnosis", "_validation"},
     {"_flow", "verify"},
