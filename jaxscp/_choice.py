@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Int
@@ -62,7 +63,7 @@ def best_unverified(solutions: Solution) -> Solution:
     (attempts,) = solutions.attempts
     count = attempts.objective.size
     chosen = _order(attempts)[0]
-    attempts = dataclasses.replace(attempts, chosen=jnp.arange(count) == chosen)
+    attempts = eqx.tree_at(lambda a: a.chosen, attempts, jnp.arange(count) == chosen)
 
     def row(tree, index):
         return jax.tree.map(lambda leaf: leaf[index], tree)

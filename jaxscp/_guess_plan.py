@@ -99,8 +99,8 @@ class GuessPlan(eqx.Module):
         waiting = None if data_required is None else 1 + obstacles.count
         # Schedules only make guesses and a scale: no derivative passes through them, and
         # at a leg of no length there is none.
-        plan, *sending = jax.lax.stop_gradient(
-            (self, channel, data_required, final_time_range)
+        plan, sending = jax.lax.stop_gradient(
+            (self, (channel, data_required, final_time_range))
         )
 
         def flight(passed):

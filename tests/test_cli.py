@@ -26,6 +26,7 @@ KEYS = {
     "polished",
     "optimality",
     "polish_iterations",
+    "attempts",
     "subproblems",
     "seconds",
     "versions",
