@@ -1,6 +1,7 @@
 """Sequential convex programming for trajectory optimization, in JAX."""
 
 from . import missions as missions, models as models, textbook as textbook
+from ._attempt import Attempt as Attempt
 from ._bounds import Bounds as Bounds
 from ._discretization import Discretization as Discretization, Quadrature as Quadrature
 from ._hold import (

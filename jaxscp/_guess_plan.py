@@ -1,19 +1,31 @@
 """`GuessPlan`: how a mission's guess is flown."""
 
-import itertools
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ._routes import Routes
 from ._trajectory import Trajectory
 from ._types import Array, Float, Scalar
 from .models._parameters import Numbers, optional_parameter, parameter
 from .models.channel import Channel
 from .models.obstacles import Cylinders
 
-# 2^8 ways to pass eight buildings.
-_MOST_ENUMERATED = 8
+# Each costs a solve; these are all the ways past three buildings.
+MOST_ROUTES = 8
+
+
+class Flight(NamedTuple):
+    """States to visit, start and goal included, and when.
+
+    - `legs`, `stays`: seconds on the way to each of them, and seconds there.
+    """
+
+    route: Float[Array, "k 12"]
+    legs: Float[Array, " k"]
+    stays: Float[Array, " k"]
 
 
 class GuessPlan(eqx.Module):
@@ -73,45 +85,38 @@ class GuessPlan(eqx.Module):
         place = channel.ground_station.at[2].add(self.loiter_height)
         return place if altitude_floor is None else place.at[2].max(altitude_floor)
 
-    def detours(
+    def flights(
         self,
-        here: Float[Array, "3"],
-        there: Float[Array, "3"],
+        places: Float[Array, "j 3"],
         obstacles: Cylinders,
-    ) -> Float[Array, "b 3"]:
-        """One place to pass for each building, in the order they come up on a leg.
+        channel: Channel,
+        data_required: Scalar | None,
+        final_time_range: Float[Array, "2"],
+    ) -> tuple[Float[Array, " r"], tuple[Flight, ...]]:
+        """The flights on every side of the buildings in the way, shortest first.
 
-        Buildings in the way are passed on those sides that make the leg shortest. For
-        those that are not, the place lies on the leg itself, so that the number of
-        places never depends on the numbers.
+        Before them their lengths [m], infinite for those that do not exist: so many are
+        made whatever the numbers.
+
+        **Arguments:**
+
+        - `places`: start, where to wait if data are required, and goal.
         """
-        count = obstacles.count
-        if count == 0:
-            return jnp.zeros((0, 3))
-        way = there - here
-        length = jnp.maximum(jnp.linalg.norm(way[:2]), 1e-9)
-        along = way[:2] / length
-        left = jnp.stack([-along[1], along[0]])
-        gaps = obstacles.centers - here[None, :2]
-        share = jnp.clip(gaps @ along / length, 0.0, 1.0)
-        order = jnp.argsort(share)
-        share, offset = share[order], (gaps @ left)[order]
-        kept = self.detour_margin * obstacles.safe_distances[order]
-        blocked = (jnp.abs(offset) < kept) & (share > 0.0) & (share < 1.0)
-        # Every way to choose sides; beyond a few buildings, all left or all right.
-        choices = (
-            itertools.product((1.0, -1.0), repeat=count)
-            if count <= _MOST_ENUMERATED
-            else ((1.0,) * count, (-1.0,) * count)
+        routes = Routes.around(places, obstacles, self.detour_margin, MOST_ROUTES)
+        waiting = None if data_required is None else 1 + obstacles.count
+        # Schedules only make guesses and a scale: no derivative passes through them, and
+        # at a leg of no length there is none.
+        plan, sending = jax.lax.stop_gradient(
+            (self, (channel, data_required, final_time_range))
         )
-        sides = jnp.array(list(choices))
-        aside = jnp.where(blocked[None], offset[None] + sides * kept[None], 0.0)
-        ends = ((0, 0), (1, 1))
-        steps = jnp.diff(jnp.pad(share * length, (1, 1)).at[-1].set(length))
-        turns = jnp.diff(jnp.pad(aside, ends), axis=1)
-        shortest = jnp.argmin(jnp.sum(jnp.hypot(steps[None], turns), axis=1))
-        places = here[None] + share[:, None] * way[None]
-        return places.at[:, :2].add(aside[shortest][:, None] * left[None])
+
+        def flight(passed):
+            route = jax.vmap(at_rest)(jnp.concatenate([passed, places[-1:]]))
+            still = jax.lax.stop_gradient(route)
+            return Flight(route, *plan.schedule(still, waiting, *sending))
+
+        rows = zip(*jax.vmap(flight)(routes.places), strict=True)
+        return routes.lengths, tuple(Flight(*row) for row in rows)
 
     def schedule(
         self,
@@ -171,13 +176,12 @@ class GuessPlan(eqx.Module):
     @eqx.filter_jit
     def fly(
         self,
-        route: Float[Array, "k n"],
-        legs: Float[Array, " k"],
-        stays: Float[Array, " k"],
+        flight: Flight,
         fractions: Float[Array, " N"],
         control: Float[Array, " m"],
     ) -> Trajectory:
-        """The flight along a route as scheduled, under a constant control."""
+        """A flight's states at the nodes, under a constant control."""
+        route, legs, stays = flight
         arrivals = jnp.cumsum(legs + stays) - stays
         knots = jnp.stack([arrivals, arrivals + stays], axis=1).ravel()
         total = jnp.sum(legs) + jnp.sum(stays)
@@ -191,13 +195,9 @@ class GuessPlan(eqx.Module):
         )
 
     @eqx.filter_jit
-    def grid(
-        self,
-        legs: Float[Array, " k"],
-        stays: Float[Array, " k"],
-        even: Float[Array, " N"],
-    ) -> Float[Array, " N"]:
+    def grid(self, flight: Flight, even: Float[Array, " N"]) -> Float[Array, " N"]:
         """Evenly spaced node fractions, redistributed as `transit_share` says."""
+        _, legs, stays = flight
         if self.transit_share is None:
             return even
         moving, waiting = jnp.sum(legs), jnp.sum(stays)
@@ -215,6 +215,11 @@ class GuessPlan(eqx.Module):
         seconds = jnp.cumsum(parts)
         nodes = jnp.cumsum(shares)
         return jnp.interp(even, nodes / nodes[-1], seconds / seconds[-1])
+
+
+def at_rest(position: Float[Array, "3"]) -> Float[Array, "12"]:
+    """The quadrotor's state level and still at a position."""
+    return jnp.concatenate([position, jnp.zeros(9)])
 
 
 def _sent(

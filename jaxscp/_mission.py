@@ -1,6 +1,5 @@
 """`Mission`: a flight of the paper's kind, in its own terms."""
 
-import itertools
 import json
 from typing import NamedTuple
 
@@ -10,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._bounds import Bounds
-from ._guess_plan import GuessPlan
+from ._guess_plan import MOST_ROUTES, Flight, GuessPlan, at_rest
 from ._problem import Integral, OptimalControlProblem
 from ._records import from_dict, to_dict
 from ._trajectory import Trajectory, time_grid
@@ -150,8 +149,8 @@ class Mission(eqx.Module):
                 limited=_limited(self.altitude_floor is not None),
             ),
             control=Bounds(*figures.control, fixed=(False,) * 4),
-            initial_state=Bounds.exactly(figures.route[0]),
-            final_state=Bounds.exactly(figures.route[-1]),
+            initial_state=Bounds.exactly(figures.ends[0]),
+            final_state=Bounds.exactly(figures.ends[1]),
             final_time=Bounds(*figures.final_time, scale=figures.expected_time),
             running_cost=control_energy,
             path_constraints=(
@@ -167,19 +166,38 @@ class Mission(eqx.Module):
         """Where a solve may start, as `plan` says: hover thrust along straight legs.
 
         Without data or buildings it is the paper's straight line. Legs lead beside the
-        buildings in their way. With data it visits the ground station and waits there
-        until the transfer is complete.
+        buildings in their way, on the sides that make them shortest. With data it visits
+        the ground station and waits there until the transfer is complete.
 
         **Arguments:**
 
         - `nodes`: their number, spaced as `plan.transit_share` says, or their fractions
             of the flight time.
         """
+        return self._flights(nodes, 1)[0]
+
+    def guesses(self, nodes: int | ArrayLike = 100) -> tuple[Trajectory, ...]:
+        """Guesses on every side of the buildings in the way of a leg, shortest first.
+
+        The first is [`Mission.guess`][], and the only one where no building is in the
+        way, or where the mission's numbers are traced: which buildings are is not known
+        then. There are at most eight, all on the first one's time grid.
+
+        **Arguments:**
+
+        - `nodes`: as in [`Mission.guess`][].
+        """
+        return self._flights(nodes, MOST_ROUTES)
+
+    def _flights(self, nodes: int | ArrayLike, most: int) -> tuple[Trajectory, ...]:
         figures, fractions = _figures(self), time_grid(nodes)
         if isinstance(nodes, (int, np.integer)):
-            fractions = self.plan.grid(*figures.schedule, fractions)
-        return self.plan.fly(
-            figures.route, *figures.schedule, fractions, self.vehicle.hover_control
+            fractions = self.plan.grid(figures.flights[0], fractions)
+        known = is_concrete(figures.lengths)
+        count = int(np.isfinite(figures.lengths).sum()) if known else 1
+        return tuple(
+            self.plan.fly(flight, fractions, self.vehicle.hover_control)
+            for flight in figures.flights[: min(count, most)]
         )
 
     def to_json(self) -> str:
@@ -201,8 +219,9 @@ class _Figures(NamedTuple):
     state: tuple[Array, Array]
     control: tuple[Array, Array]
     final_time: tuple[Scalar, Scalar]
-    route: Float[Array, "k 12"]
-    schedule: tuple[Array, Array]
+    ends: tuple[Float[Array, "12"], Float[Array, "12"]]
+    lengths: Float[Array, " r"]
+    flights: tuple[Flight, ...]
     expected_time: Scalar
 
 
@@ -214,35 +233,24 @@ def _figures(mission: Mission) -> _Figures:
     lower = jnp.full(12, -jnp.inf).at[_ALTITUDE].set(floor).at[_TILTS].set(-tilt)
     upper = jnp.full(12, jnp.inf).at[_TILTS].set(tilt)
     most = jnp.concatenate([mission.limits.thrust[None], mission.limits.torque])
-    places, waiting = [mission.start, mission.goal], None
+    places = [mission.start, mission.goal]
     if mission.data_required is not None:
         wait = mission.plan.loiter_place(mission.channel, mission.altitude_floor)
         places.insert(1, wait)
-        waiting = 1 + mission.obstacles.count
-    ways = [
-        jnp.concatenate(
-            [here[None], mission.plan.detours(here, there, mission.obstacles)]
-        )
-        for here, there in itertools.pairwise(places)
-    ]
-    route = jax.vmap(_at_rest)(jnp.concatenate([*ways, mission.goal[None]]))
-    shortest, longest = mission.final_time_range
-    # The schedule only makes a guess and a scale: no derivative passes through it, and
-    # at a leg of no length there is none.
-    legs, stays = jax.lax.stop_gradient(mission.plan).schedule(
-        jax.lax.stop_gradient(route),
-        waiting,
-        *jax.lax.stop_gradient(
-            (mission.channel, mission.data_required, mission.final_time_range)
-        ),
+    lengths, flights = mission.plan.flights(
+        jnp.stack(places),
+        mission.obstacles,
+        *(mission.channel, mission.data_required, mission.final_time_range),
     )
     return _Figures(
         state=(lower, upper),
         control=(-most.at[0].set(0.0), most),
-        final_time=(shortest, longest),
-        route=route,
-        schedule=(legs, stays),
-        expected_time=jnp.sum(legs) + jnp.sum(stays),
+        final_time=tuple(mission.final_time_range),
+        ends=(at_rest(mission.start), at_rest(mission.goal)),
+        lengths=lengths,
+        flights=flights,
+        # That of the shortest.
+        expected_time=jnp.sum(flights[0].legs) + jnp.sum(flights[0].stays),
     )
 
 
@@ -253,11 +261,6 @@ def _limited(floor: bool) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
     lower = upper.copy()
     lower[_ALTITUDE] = floor
     return tuple(lower.tolist()), tuple(upper.tolist())
-
-
-def _at_rest(position: Float[Array, "3"]) -> Float[Array, "12"]:
-    """The state level and still at a position."""
-    return jnp.concatenate([position, jnp.zeros(9)])
 
 
 def _check_place(mission: Mission, end: str):

@@ -2,7 +2,8 @@
 
 import jax.numpy as jnp
 
-from ._constraints import integral_limits, violations
+from ._attempt import Attempt
+from ._constraints import integral_limits, violations, worst_violation
 from ._diagnosis import Violations
 from ._packed import Packed
 from ._per_constraint import PerConstraint
@@ -17,11 +18,14 @@ def outcome(transcription: Transcription, state: SCPState, status: Status) -> So
     """What the state holds, with the status it ended in."""
     scaling, iterate = state.scaling, state.iterate
     totals = iterate.residuals.totals * scaling.integral
+    objective = iterate.residuals.objective * scaling.objective
+    limits = integral_limits(transcription, scaling)
+    missed = worst_violation(iterate.residuals, limits)
     return Solution(
         packed_problem=Packed.of(transcription.problem),
         discretization=transcription.discretization,
         trajectory=transcription.trajectory(iterate.variables),
-        objective=iterate.residuals.objective * scaling.objective,
+        objective=objective,
         integrals=_by_integral(transcription, totals),
         multipliers=_multipliers(transcription, state),
         violations=_violations(transcription, state),
@@ -38,6 +42,7 @@ def outcome(transcription: Transcription, state: SCPState, status: Status) -> So
             qp_seconds=state.qp_seconds,
             seconds=jnp.asarray(jnp.nan),
         ),
+        attempts=(Attempt(objective, missed, status, None, jnp.asarray(True)),),
     )
 
 

@@ -12,7 +12,7 @@ from ._constraints import integral_limits, largest_buffer, violations
 from ._state import SCPState
 from ._status import Status
 from ._transcription import Transcription, Variables
-from ._types import Array
+from ._types import Array, ArrayLike
 
 
 class AbstractSCP(eqx.Module):
@@ -76,15 +76,19 @@ def run(
     transcription: Transcription,
     guess: Variables,
     progress: Callable[[dict], None] | None = None,
+    attempt: ArrayLike = 0,
 ) -> tuple[SCPState, Status]:
-    """Iterate until the method terminates, in one compiled loop."""
+    """Iterate until the method terminates, in one compiled loop.
+
+    `progress` is told which `attempt` this is.
+    """
 
     def report(state: SCPState) -> None:
         assert progress is not None
         record = jax.tree.map(lambda h: h[state.records - 1], state.history)
         values = {name: getattr(record, name) for name in vars(record)}
         count = state.iterations + state.polish
-        jax.debug.callback(progress, {"iteration": count, **values})
+        jax.debug.callback(progress, {"attempt": attempt, "iteration": count, **values})
 
     def body(state: SCPState) -> SCPState:
         after = method.step(transcription, state)

@@ -4,13 +4,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ._attempt import Attempt
 from ._diagnosis import Violations, explain
 from ._discretization import Discretization
 from ._flow import Flow, Span
 from ._packed import Packed
 from ._problem import OptimalControlProblem
 from ._state import History
-from ._status import Status
+from ._status import Status, has_converged
 from ._trajectory import Trajectory
 from ._types import Array, ArrayLike, Float, Scalar, is_concrete
 
@@ -73,6 +74,8 @@ class Solution(eqx.Module):
     - `optimality`: scaled residual of the optimality conditions at the last iterate that
         was linearized; infinite for methods that do not compute it.
     - `history`: one record for each subproblem. `statistics`: what it took.
+    - `attempts`: how the solve from each guess ended, in their order; this solution is
+        the one chosen. `print(*solution.attempts, sep="\n")` shows them.
     """
 
     packed_problem: Packed
@@ -86,6 +89,7 @@ class Solution(eqx.Module):
     optimality: Scalar
     history: History
     statistics: Statistics
+    attempts: tuple[Attempt, ...]
 
     @property
     def problem(self) -> OptimalControlProblem:
@@ -95,7 +99,7 @@ class Solution(eqx.Module):
     @property
     def converged(self) -> Array:
         """Whether the solve ended at a feasible stationary point."""
-        return self.polished | (self.status == Status.converged_roughly)
+        return has_converged(self.status)
 
     @property
     def polished(self) -> Array:

@@ -1,7 +1,7 @@
-"""`solve`: from a problem and a guess to a solution."""
+"""`solve`: from a problem and guesses to a solution."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ._choice import best, best_unverified
 from ._discretization import Discretization
 from ._outcome import outcome
 from ._problem import OptimalControlProblem
@@ -17,8 +18,8 @@ from ._scp import AbstractSCP, run
 from ._solution import Solution
 from ._trajectory import Trajectory, straight_line
 from ._transcription import Transcription
-from ._types import ArrayLike, is_concrete
-from ._validation import check_guess, check_precision, check_problem
+from ._types import Array, ArrayLike, is_concrete
+from ._validation import check_guesses, check_precision, check_problem
 
 
 class SolveError(RuntimeError):
@@ -31,7 +32,7 @@ class SolveError(RuntimeError):
 
 def solve(
     problem: OptimalControlProblem,
-    guess: Trajectory | None = None,
+    guess: Trajectory | Sequence[Trajectory] | None = None,
     method: AbstractSCP = ProximalSCP(),  # noqa: B008  (immutable)
     *,
     nodes: int | ArrayLike = 50,
@@ -49,6 +50,10 @@ def solve(
 
     - `problem`: what to solve.
     - `guess`: where to start, with the time grid to use; a straight line by default.
+        Of several, on one time grid, the best is returned: the cheapest of those that
+        converge and that [`verify`][] confirms, else the cheapest that converges, else
+        the one that misses its constraints least. `Solution.attempts` holds them all.
+        Inside a transformation, where nothing can be verified, convergence decides.
     - `method`: [`ProximalSCP`][], or the paper's [`PaperSCP`][].
     - `nodes`: number of nodes, or their fractions of the flight time; only without a
         guess, which has its own.
@@ -57,9 +62,10 @@ def solve(
 
     - `discretization`: hold, quadrature and integration tolerance.
     - `progress`: called after every iteration with a dictionary of its numbers: the
-        fields of [`History`][] and `iteration`. Pass the same function each time: a new
-        one compiles anew.
-    - `throw`: raise if the solve does not converge. With `throw=False` the solution
+        fields of [`History`][], `iteration`, and `attempt`: which of the guesses it
+        started from, counted from 0. Pass the same function each time: a new one
+        compiles anew.
+    - `throw`: raise if no guess leads to convergence. With `throw=False` the solution
         says so in its status and holds the last iterate.
 
     **Raises:** `RuntimeError` if JAX is not in 64-bit mode, `ValueError` for a problem
@@ -72,9 +78,10 @@ def solve(
     check_problem(problem)
     if guess is None:
         guess = straight_line(problem, nodes)
-    check_guess(problem, guess)
-    transcription = Transcription(problem, discretization, guess.fractions)
-    solution = _run(method, transcription, guess, progress)
+    guesses = (guess,) if isinstance(guess, Trajectory) else tuple(guess)
+    check_guesses(problem, guesses)
+    transcription = Transcription(problem, discretization, guesses[0].fractions)
+    solution = _best(method, transcription, guesses, progress)
     if is_concrete(solution.objective):
         jax.block_until_ready(solution.objective)
         elapsed = jnp.asarray(time.perf_counter() - begun)
@@ -92,20 +99,44 @@ def _as_parameter(leaf: Any) -> Any:
     return jnp.asarray(leaf) if isinstance(leaf, (np.ndarray, np.generic)) else leaf
 
 
+def _best(
+    method: AbstractSCP,
+    transcription: Transcription,
+    guesses: tuple[Trajectory, ...],
+    progress: Callable[[dict], None] | None,
+) -> Solution:
+    """The best of what the guesses lead to, all through one compiled program."""
+
+    def attempt(index, guess):
+        return _run(method, transcription, guess, jnp.asarray(index), progress)
+
+    if len(guesses) == 1:
+        return attempt(0, guesses[0])
+    together = jax.tree.map(lambda *each: jnp.stack(each), *guesses)
+    if not is_concrete(eqx.filter((transcription, together), eqx.is_array)):
+        return best_unverified(
+            eqx.filter_vmap(attempt)(jnp.arange(len(guesses)), together)
+        )
+    # Each is awaited: they share the host's QP solver.
+    return best([jax.block_until_ready(attempt(*each)) for each in enumerate(guesses)])
+
+
 @eqx.filter_jit
 def _run(
     method: AbstractSCP,
     transcription: Transcription,
     guess: Trajectory,
+    attempt: Array,
     progress: Callable[[dict], None] | None,
 ) -> Solution:
-    arrays, rest = eqx.partition((transcription, guess), eqx.is_array)
+    arrays, rest = eqx.partition((transcription, guess, attempt), eqx.is_array)
 
     # A batch shares nothing but its pattern: one after another, each element iterates
     # as often as it needs and none waits for, or spoils, another.
     @jax.custom_batching.sequential_vmap
     def one(arrays):
-        transcription, guess = eqx.combine(arrays, rest)
-        return run(method, transcription, transcription.variables(guess), progress)
+        transcription, guess, attempt = eqx.combine(arrays, rest)
+        variables = transcription.variables(guess)
+        return run(method, transcription, variables, progress, attempt)
 
     return outcome(transcription, *one(arrays))

@@ -2,6 +2,8 @@
 
 import equinox as eqx
 
+from ._types import Array
+
 
 class Status(eqx.Enumeration):
     """Why a solve stopped. `converged` is a success, and so is `converged_roughly`."""
@@ -41,6 +43,11 @@ class Status(eqx.Enumeration):
         "A function of the problem returned NaN or infinity. Guard it against "
         "singular points (division by zero, powers, roots, arcsines)."
     )
+
+
+def has_converged(status: Status) -> Array:
+    """Whether a solve ended at a feasible stationary point."""
+    return (status == Status.converged) | (status == Status.converged_roughly)
 
 
 def sentence_of(status: Status) -> str:

@@ -58,28 +58,64 @@ def check_problem(problem: OptimalControlProblem) -> None:
     _check_functions(problem)
 
 
-def check_guess(problem: OptimalControlProblem, guess: Trajectory) -> None:
+def check_guesses(
+    problem: OptimalControlProblem, guesses: tuple[Trajectory, ...]
+) -> None:
+    """**Raises:** `ValueError` for the first guess that does not fit its problem, or
+    that has another time grid than those before it.
+    """
+    if not guesses:
+        raise ValueError("guess=(): give at least one trajectory, or None.")
+    for index, guess in enumerate(guesses):
+        name = "guess" if len(guesses) == 1 else f"guess[{index}]"
+        _check_same_grid(name, guess, guesses[0])
+        check_guess(problem, guess, name)
+
+
+def _check_same_grid(name: str, guess: Trajectory, first: Trajectory) -> None:
+    if guess.nodes != first.nodes:
+        raise ValueError(
+            f"{name} has {guess.nodes} nodes and guess[0] has {first.nodes}; give all "
+            "guesses the same time grid."
+        )
+    if not is_concrete(guess.fractions, first.fractions):
+        return
+    mine, its = np.asarray(guess.fractions), np.asarray(first.fractions)
+    if (mine != its).any():
+        at = int(np.argmax(mine != its))
+        raise ValueError(
+            f"{name}.fractions[{at}]={mine[at]:g} is {its[at]:g} in guess[0]; give all "
+            "guesses the same time grid."
+        )
+
+
+def check_guess(
+    problem: OptimalControlProblem, guess: Trajectory, name: str = "guess"
+) -> None:
     """**Raises:** `ValueError` if a guess does not fit its problem."""
     time_grid(guess.fractions)
-    for name, size in (
+    for field, size in (
         ("states", problem.state_size),
         ("controls", problem.control_size),
     ):
-        value = getattr(guess, name)
+        value = getattr(guess, field)
         if value.shape != (guess.nodes, size):
             raise ValueError(
-                f"guess.{name} has shape {value.shape}; give one row of {size} entries "
+                f"{name}.{field} has shape {value.shape}; give one row of {size} entries "
                 f"for each of the {guess.nodes} nodes."
             )
-    for name in ("states", "controls", "final_time"):
-        value = getattr(guess, name)
+    for field in ("states", "controls", "final_time"):
+        value = getattr(guess, field)
         if is_concrete(value) and not np.isfinite(value).all():
             raise ValueError(
-                f"guess.{name} holds NaN or infinity; give finite numbers at every node."
+                f"{name}.{field} holds NaN or infinity; give finite numbers at every "
+                "node."
             )
     time = guess.final_time
     if jnp.shape(time) != () or (is_concrete(time) and not float(time) > 0):
-        raise ValueError(f"guess.final_time={time}: give one positive number of seconds.")
+        raise ValueError(
+            f"{name}.final_time={time}: give one positive number of seconds."
+        )
 
 
 def _check_bounds(name: str, bounds: Bounds, shape: tuple[int, ...] | None) -> None:

@@ -92,13 +92,16 @@ def solve(
     progress: Callable[[dict], None] | None = None,
     throw: bool = True,
 ) -> Solution:
-    """Solve a mission from its own guess.
+    """Solve a mission from its own guesses, and return the best solution.
+
+    They lead past each building in the way on either side, as [`Mission.guesses`][] has
+    it; `Solution.attempts` tells what each led to.
 
     **Arguments:**
 
     - `enforce`: "between" holds tilt, floor and buildings within the intervals as well,
         as a flight must; "nodes", as in the paper, at the nodes alone.
-    - `nodes`: as in [`Mission.guess`][].
+    - `nodes`: as in [`Mission.guesses`][].
     - `method`, `progress`, `throw`: as in [`jaxscp.solve`][].
 
     **Raises:** what [`jaxscp.solve`][] raises; `ValueError` for another `enforce`.
@@ -107,7 +110,7 @@ def solve(
         raise ValueError(f"enforce={enforce!r}: choose 'nodes' or 'between'.")
     return solve_problem(
         mission.problem(),
-        mission.guess(nodes),
+        mission.guesses(nodes),
         method,
         discretization=Discretization(between=ENFORCED[enforce]),
         progress=progress,

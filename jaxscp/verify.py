@@ -32,6 +32,8 @@ from ._verification import Dense, Verification
 
 # Straying from a node by this many ranges ends the re-propagation of a whole flight.
 FLIGHT_LIMIT = 10.0
+# By name: the solver's holds are not used, only which one it was.
+HOLDS = ("ZeroOrderHold", "FirstOrderHold")
 
 
 @runtime_checkable
@@ -126,9 +128,8 @@ def _read(
     else:
         trajectory = solution.trajectory
         hold = solution.discretization.hold if hold is None else hold
-    # By name: the solver's holds are not used, only which one it was.
     name = "ZeroOrderHold" if hold is None else type(hold).__name__
-    if name not in {"ZeroOrderHold", "FirstOrderHold"}:
+    if name not in HOLDS:
         raise ValueError(
             f"hold={hold!r}: verify knows ZeroOrderHold() and FirstOrderHold()."
         )

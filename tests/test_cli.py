@@ -1,14 +1,17 @@
 """The command line: its contract with scripts."""
 
+import dataclasses
 import json
 import os
 import sys
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp import missions
+from jaxscp import History, Status, missions
 from jaxscp.__main__ import main
+from jaxscp._cli._report import progress_line
 
 KEYS = {
     "mission",
@@ -26,6 +29,7 @@ KEYS = {
     "polished",
     "optimality",
     "polish_iterations",
+    "attempts",
     "subproblems",
     "seconds",
     "versions",
@@ -95,6 +99,8 @@ def test_json_holds_the_contract(solved):
     assert report["converged"] is True
     assert report["verified"] is True
     assert report["data_required_bits"] is None
+    (attempt,) = report["attempts"]
+    assert (attempt["verified"], attempt["chosen"]) == (True, True)
     assert 0.0 <= report["position_error"] < 0.1
     assert 0.0 <= report["defect_max"] < 1e-3
     assert report["subproblems"] >= report["iterations"] >= 1
@@ -103,6 +109,56 @@ def test_json_holds_the_contract(solved):
     assert {"jaxscp", "jax", "piqp"} <= set(report["versions"])
     for violation in report["violations"].values():
         assert set(violation) == {"value", "unit", "time"}
+
+
+def test_every_route_tried_is_reported(tmp_path, capsys, monkeypatch):
+    solve = missions.solve
+
+    def another_way_too(*mission, **options):
+        solution = solve(*mission, **options)
+        (attempt,) = solution.attempts
+        other = dataclasses.replace(
+            attempt,
+            objective=jnp.asarray(12345.678),
+            status=Status.iteration_limit,
+            chosen=jnp.asarray(False),
+        )
+        return dataclasses.replace(solution, attempts=(attempt, other))
+
+    monkeypatch.setattr(missions, "solve", another_way_too)
+    path = tmp_path / "a.json"
+    assert main([*QUICK, "--enforce", "nodes", "--json", str(path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    first, second = (line for line in lines if line.startswith("route "))
+    assert first.startswith("route 1 ")
+    assert first.endswith(", chosen")
+    assert second.split()[:4] == ["route", "2", "12,345.68,", "iteration_limit,"]
+    report = json.loads(path.read_text())
+    chosen, other = report["attempts"]
+    assert chosen == {
+        "objective": report["objective"],
+        "status": report["status"],
+        "converged": True,
+        "verified": True,
+        "chosen": True,
+    }
+    assert other == {
+        "objective": 12345.678,
+        "status": "iteration_limit",
+        "converged": False,
+        "verified": None,
+        "chosen": False,
+    }
+
+
+def test_progress_names_the_routes_after_the_first():
+    numbers = dict.fromkeys(vars(History.empty(1)), 0.5)
+    line = progress_line({"attempt": 1, "iteration": 1, **numbers})
+    title, headings, _ = line.splitlines()
+    assert title == "route 2"
+    assert headings.split()[0] == "iteration"
+    first = progress_line({"attempt": 0, "iteration": 1, **numbers})
+    assert first == line.partition("\n")[2]
 
 
 def test_npz_holds_the_contract(solved):

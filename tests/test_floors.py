@@ -10,12 +10,13 @@ PACKAGE = Path(__file__).parents[1] / "jaxscp"
 # From the ground up. A folder's `__init__` goes by the folder's name, the package's own
 # by the empty one.
 FLOORS = (
-    {"_types", "_status", "_records", "plot._style"},
-    {"_bounds", "_hold", "_qp", "_packed", "models._parameters", "models._smooth"},
-    {"_curvature", "_max_norm", "_per_constraint"},
+    {"_types", "_records", "plot._style"},
+    {"_status", "_bounds", "_hold", "_qp", "_packed"},
+    {"models._parameters", "models._smooth"},
+    {"_attempt", "_curvature", "_max_norm", "_per_constraint"},
     {"_problem", "models.systems", "models.limits"},
     {"models.channel", "models.obstacles", "models.quadrotor"},
-    {"_trajectory", "models", "textbook"},
+    {"_trajectory", "_routes", "models", "textbook"},
     {"_discretization", "_repropagation", "_limit_checks"},
     {"_peaks", "_verification", "_diagnosis", "_validation"},
     {"_flow", "verify"},
@@ -31,7 +32,7 @@ FLOORS = (
     {"_active_system", "_state"},
     {"_active_set"},
     {"_iteration", "_optimality", "_scp", "_solution"},
-    {"_search", "_penalty_weights", "_outcome"},
+    {"_search", "_penalty_weights", "_outcome", "_choice"},
     {"_proximal", "_paper"},
     {"_solve"},
     {"_guess_plan"},

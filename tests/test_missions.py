@@ -307,6 +307,54 @@ def test_guess_takes_the_shortest_way_between_buildings():
         assert (nearest - center) @ [-1.0, 1.0] > 0
 
 
+@pytest.mark.parametrize(
+    ("name", "count"), [("free-flight", 1), ("urban-flight", 4), ("urban-30MB-60dB", 1)]
+)
+def test_a_guess_for_each_way_past_the_buildings(name, count):
+    mission = missions.get(name)
+    guesses = mission.guesses()
+    assert len(guesses) == count
+    assert eqx.tree_equal(guesses[0], mission.guess())
+    ways = set()
+    for guess in guesses:
+        assert_allclose(guess.fractions, guesses[0].fractions, rtol=0)
+        places = np.asarray(guess.states[:, :2])
+        sides = []
+        for center in np.asarray(mission.obstacles.centers):
+            nearest = places[np.argmin(np.linalg.norm(places - center, axis=1))]
+            # To the right of the way from the origin to (500, 500).
+            sides.append(bool((nearest - center) @ [1.0, -1.0] > 0))
+        ways.add(tuple(sides))
+    assert len(ways) == count
+    times = [float(guess.final_time) for guess in guesses]
+    assert times == sorted(times)
+
+
+def test_a_traced_mission_has_its_shortest_guess():
+    mission, found = missions.get("urban-flight"), []
+
+    def guessed(start):
+        moved = eqx.tree_at(lambda mission: mission.start, mission, start)
+        found.extend(moved.guesses())
+        return found[0].final_time
+
+    jax.eval_shape(guessed, mission.start)
+    assert len(found) == 1
+
+
+def test_missions_are_solved_from_all_their_guesses(monkeypatch):
+    mission, given = missions.get("urban-flight"), []
+
+    def ask(problem, guess, *settings, **options):
+        given.extend(guess)
+        raise InterruptedError
+
+    monkeypatch.setattr(missions, "solve_problem", ask)
+    with pytest.raises(InterruptedError):
+        missions.solve(mission)
+    assert eqx.tree_equal(tuple(given), mission.guesses())
+
+
 def test_guess_follows_the_mission():
     mission = missions.replace_many(
         missions.get("free-space-30MB-60dB"),

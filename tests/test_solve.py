@@ -4,6 +4,7 @@ Compiling a solve takes seconds, so nearly all tests share the same functions an
 and differ in numbers alone.
 """
 
+import dataclasses
 import functools
 import re
 from collections.abc import Callable
@@ -18,6 +19,7 @@ from test_validation import compilations
 
 import jaxscp
 from jaxscp import Bounds, Integral, OptimalControlProblem, _qp
+from jaxscp._choice import best
 from jaxscp._diagnosis import Violations, explain
 
 NODES = 6
@@ -140,11 +142,15 @@ UNEVEN = (0.0, 0.1, 0.25, 0.5, 0.6, 1.0)
 @functools.cache
 def interrupted() -> tuple[jaxscp.Solution, tuple[dict, ...]]:
     """Stopped after two steps, under a first-order hold, and what it reported."""
+    return recorded(jaxscp.straight_line(cart(), UNEVEN))
+
+
+def recorded(guess) -> tuple[jaxscp.Solution, tuple[dict, ...]]:
     RECORDS.clear()
     solution = jaxscp.solve(
         cart(),
-        method=TWO_STEPS,
-        nodes=jnp.array(UNEVEN),
+        guess,
+        TWO_STEPS,
         discretization=jaxscp.Discretization(jaxscp.FirstOrderHold(), tolerance=1e-9),
         progress=RECORDS.append,
         throw=False,
@@ -523,9 +529,191 @@ def test_progress_is_called_once_an_iteration():
     solution, records = interrupted()
     assert [int(record["iteration"]) for record in records] == [1, 2]
     for index, record in enumerate(records):
-        assert set(record) == {"iteration", *vars(solution.history)}
+        assert set(record) == {"attempt", "iteration", *vars(solution.history)}
+        assert int(record["attempt"]) == 0
         for name, values in vars(solution.history).items():
             assert float(record[name]) == float(values[index]), name
+
+
+# Several guesses.
+
+
+def late(problem):
+    """A guess that takes longer."""
+    return jaxscp.straight_line(problem, NODES, final_time=3.9)
+
+
+def with_a_bad_guess(force=4.0):
+    """A problem, a good guess, and one where the dynamics are not finite."""
+    problem = cart(force, edges={"dynamics": -1.0})
+    good = jaxscp.straight_line(problem, NODES)
+    bad = eqx.tree_at(lambda guess: guess.states, good, good.states.at[1, 1].set(-90.0))
+    return problem, good, bad
+
+
+def test_one_guess_is_one_attempt():
+    solution = converged()
+    (attempt,) = solution.attempts
+    assert bool(attempt.chosen)
+    assert bool(attempt.converged)
+    assert attempt.verified is None
+    assert float(attempt.objective) == float(solution.objective)
+    assert str(attempt) == f"{float(solution.objective):,.2f}, converged, chosen"
+
+
+def test_a_guess_that_leads_nowhere_is_passed_over():
+    problem, good, bad = with_a_bad_guess()
+    solution = solve(problem, [bad, good], throw=True)
+    first, second = solution.attempts
+    assert bool(first.status == jaxscp.Status.non_finite)
+    assert (bool(first.chosen), bool(second.chosen)) == (False, True)
+    assert (first.verified, second.verified) == (None, True)
+    alone = solve(problem, good)
+    assert float(solution.objective) == float(alone.objective)
+    np.testing.assert_array_equal(solution.trajectory.states, alone.trajectory.states)
+
+
+def test_where_no_guess_converges_the_nearest_is_returned():
+    problem = cart(travel=(5.0, 50.0))
+    with pytest.raises(jaxscp.SolveError, match="travel misses its limit") as caught:
+        solve(problem, [late(problem), jaxscp.straight_line(problem, NODES)], throw=True)
+    solution = caught.value.solution
+    missed = [float(attempt.violation) for attempt in solution.attempts]
+    # The way is 3 m whatever one does.
+    scale = float(solution.violations.scales[2]["travel"])
+    np.testing.assert_allclose(missed, 2.0 / scale, rtol=1e-3)
+    chosen = [bool(attempt.chosen) for attempt in solution.attempts]
+    assert chosen.index(True) == np.argmin(missed)
+    assert sum(chosen) == 1
+
+
+def test_other_guesses_compile_nothing():
+    def both(force):
+        problem = cart(force)
+        return solve(problem, (jaxscp.straight_line(problem, NODES), late(problem)))
+
+    first = both(4.0)
+    with compilations() as compiled:
+        second = both(3.5)
+    assert not compiled
+    for attempt in (*first.attempts, *second.attempts):
+        assert bool(attempt.converged)
+
+
+def test_traced_solves_are_judged_by_how_they_ended():
+    @eqx.filter_jit
+    def traced(force):
+        problem, good, bad = with_a_bad_guess(force)
+        return jaxscp.solve(problem, [bad, good])
+
+    inside = traced(jnp.asarray(4.0))
+    problem, good, bad = with_a_bad_guess()
+    outside = solve(problem, [bad, good])
+    np.testing.assert_allclose(
+        inside.trajectory.states, outside.trajectory.states, rtol=1e-8, atol=1e-8
+    )
+    for mine, other in zip(inside.attempts, outside.attempts, strict=True):
+        assert bool(mine.status == other.status)
+        assert bool(mine.chosen) == bool(other.chosen)
+        assert mine.verified is None
+    with pytest.raises(RuntimeError, match="cannot be met within the limits"):
+        jax.block_until_ready(traced(jnp.asarray(0.5)))
+
+
+def test_progress_says_which_guess():
+    guess = jaxscp.straight_line(cart(), UNEVEN)
+    longer = jaxscp.straight_line(cart(), UNEVEN, final_time=3.9)
+    _, records = recorded([guess, longer])
+    seen = [(int(record["attempt"]), int(record["iteration"])) for record in records]
+    assert seen == [(0, 1), (0, 2), (1, 1), (1, 2)]
+
+
+# Which of several is the best.
+
+
+@functools.cache
+def cheap_and_dear() -> tuple[jaxscp.Solution, jaxscp.Solution]:
+    """Both converge; the longer way takes more effort."""
+    return solve(cart(goal=2.0), throw=True), converged()
+
+
+def astray(solution) -> jaxscp.Solution:
+    """The same with a node moved by a metre: no integrator gets there."""
+    return eqx.tree_at(
+        lambda solution: solution.trajectory.states,
+        solution,
+        solution.trajectory.states.at[2, 0].add(1.0),
+    )
+
+
+def stopped(solution, violation) -> jaxscp.Solution:
+    """The same, interrupted that far from being feasible."""
+    status = jaxscp.Status.iteration_limit
+    (attempt,) = solution.attempts
+    missed = jnp.asarray(violation)
+    attempt = dataclasses.replace(attempt, status=status, violation=missed)
+    return dataclasses.replace(solution, status=status, attempts=(attempt,))
+
+
+def verdicts(*solutions):
+    """Of each: whether it is verified, and whether it is chosen and returned."""
+    solution = best(solutions)
+    chosen = [bool(attempt.chosen) for attempt in solution.attempts]
+    returned = solutions[chosen.index(True)]
+    assert float(solution.objective) == float(returned.objective)
+    np.testing.assert_array_equal(solution.trajectory.states, returned.trajectory.states)
+    verified = [attempt.verified for attempt in solution.attempts]
+    return list(zip(verified, chosen, strict=True))
+
+
+def test_the_cheapest_is_chosen_and_the_others_are_not_verified():
+    cheap, dear = cheap_and_dear()
+    assert verdicts(dear, cheap, dear) == [(None, False), (True, True), (None, False)]
+
+
+def test_what_does_not_verify_gives_way():
+    cheap, dear = cheap_and_dear()
+    assert verdicts(astray(cheap), dear) == [(False, False), (True, True)]
+
+
+def test_where_nothing_verifies_the_cheapest_is_chosen():
+    cheap, dear = cheap_and_dear()
+    assert verdicts(astray(dear), astray(cheap)) == [(False, False), (False, True)]
+
+
+def test_what_converged_goes_before_what_is_cheaper():
+    cheap, dear = cheap_and_dear()
+    assert verdicts(stopped(cheap, 1e-3), dear) == [(None, False), (True, True)]
+
+
+@pytest.mark.parametrize(
+    ("missed", "chosen"), [((0.1, 0.2), 0), ((0.2, 0.1), 1), ((np.nan, 0.1), 1)]
+)
+def test_without_convergence_the_nearest_is_chosen(missed, chosen):
+    both = (stopped(s, m) for s, m in zip(cheap_and_dear(), missed, strict=True))
+    expected = [(None, index == chosen) for index in range(2)]
+    assert verdicts(*both) == expected
+
+
+class HoldOfOnesOwn(jaxscp.ZeroOrderHold):
+    """Not one that `verify` knows."""
+
+
+def test_under_a_hold_that_verify_does_not_know_the_cheapest_is_chosen():
+    other = jaxscp.Discretization(HoldOfOnesOwn())
+    cheap, dear = (dataclasses.replace(s, discretization=other) for s in cheap_and_dear())
+    assert verdicts(dear, cheap) == [(None, False), (None, True)]
+
+
+def test_an_attempt_is_a_line():
+    cheap, dear = cheap_and_dear()
+    objective = f"{float(cheap.objective):,.2f}"
+    attempts = best([cheap, dear]).attempts
+    assert str(attempts[0]) == f"{objective}, converged, verified, chosen"
+    assert str(attempts[1]) == f"{float(dear.objective):,.2f}, converged"
+    (attempt,) = stopped(cheap, 0.25).attempts
+    line = f"{objective}, iteration_limit, misses a limit by 2.5e-01, chosen"
+    assert str(attempt) == line
 
 
 # Resampling.

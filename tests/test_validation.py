@@ -358,6 +358,26 @@ def test_bad_guesses(leaf, value, message):
     refuse(lambda: jaxscp.solve(problem, guess), rf"^guess\.{message}")
 
 
+@pytest.mark.parametrize(
+    ("leaf", "value", "message"),
+    [
+        ("states", np.ones((4, 2)), r"\.states has shape \(4, 2\); give one row of 25"),
+        ("final_time", np.nan, r"\.final_time holds NaN or infinity"),
+        ("fractions", np.array([0.0, 0.2, 0.7, 1.0]), r"\.fractions\[1\]=0\.2 is 0\.333"),
+        ("fractions", np.linspace(0.0, 1.0, 5), " has 5 nodes and guess.0. has 4; give"),
+    ],
+)
+def test_of_several_guesses_the_bad_one_is_named(leaf, value, message):
+    problem = tanks()
+    good = jaxscp.straight_line(problem, 4)
+    bad = eqx.tree_at(lambda guess: getattr(guess, leaf), good, jnp.asarray(value))
+    refuse(lambda: jaxscp.solve(problem, [good, bad]), rf"^guess\[1\]{message}")
+
+
+def test_no_guess_at_all():
+    refuse(lambda: jaxscp.solve(tanks(), []), r"^guess=\(\): give at least one")
+
+
 @pytest.mark.parametrize("fractions", [[0.0, 0.7, 0.6, 1.0], [0.0, 0.5, 0.9, 0.9]])
 def test_a_guess_on_a_bad_grid(fractions):
     problem = tanks()

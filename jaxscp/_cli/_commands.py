@@ -12,16 +12,15 @@ import equinox as eqx
 import jax
 
 from .. import _files, missions as catalogue
+from .._choice import checked
 from .._hold import ZeroOrderHold
 from .._paper import PaperSCP
-from .._problem import OptimalControlProblem
 from .._proximal import ProximalSCP
 from .._solution import Solution
 from .._trajectory import Trajectory
-from .._validation import check_guess, check_problem
+from .._validation import check_guesses, check_problem
 from .._verification import Verification
 from ..missions import Mission
-from ..verify import verify as verify_solution
 from ._arguments import InputError
 from ._report import as_json, progress_line, table
 from ._timing import CompileClock, process_age
@@ -45,9 +44,8 @@ def verify(arguments: argparse.Namespace) -> int:
         mission, trajectory = _files.load(arguments.file)
     except ValueError as error:
         raise InputError(error) from error
-    result = _verified(
-        mission.problem(), trajectory, arguments.enforce, hold=ZeroOrderHold()
-    )
+    between = arguments.enforce == "between"
+    result = checked(mission.problem(), trajectory, between, hold=ZeroOrderHold())
     print(f"{arguments.file}: {mission.name}")
     print(result)
     return SUCCESS if result.verified else FAILURE
@@ -61,37 +59,25 @@ def solve(arguments: argparse.Namespace) -> int:
         mission = catalogue.replace_many(
             catalogue.get(arguments.mission), dict(arguments.changes)
         )
-        problem, guess = mission.problem(), mission.guess(nodes=arguments.nodes)
+        problem, guesses = mission.problem(), mission.guesses(nodes=arguments.nodes)
         # `solve` would say the same. Asked here, what it raises later is a fault of the
         # program, and shows as one.
         check_problem(problem)
-        check_guess(problem, guess)
+        check_guesses(problem, guesses)
     except ValueError as error:
         raise InputError(error) from error
     solution, spent = _timed_solve(mission, arguments)
     seconds |= spent
-    verification = _verified(solution.problem, solution, arguments.enforce)
-    _write(arguments, mission, solution, guess, verification, seconds)
+    between = arguments.enforce == "between"
+    verification = checked(solution.problem, solution, between)
+    start = guesses[[bool(a.chosen) for a in solution.attempts].index(True)]
+    _write(arguments, mission, solution, start, verification, seconds)
     good = bool(solution.converged) and verification.verified
     if not arguments.quiet:
         print(table(mission, solution, verification, seconds))
     elif not good:
         print(f"{mission.name}: {solution.message}", file=sys.stderr)
     return SUCCESS if good else FAILURE
-
-
-def _verified(
-    problem: OptimalControlProblem,
-    flight: Solution | Trajectory,
-    enforce: str,
-    hold: ZeroOrderHold | None = None,
-) -> Verification:
-    """Between the nodes to a hundred-thousandth: millimetres, as limits hold there."""
-    between = enforce == "between"
-    tolerance = 1e-5 if between else 1e-4
-    return verify_solution(
-        problem, flight, between=between, tolerance=tolerance, hold=hold
-    )
 
 
 def _timed_solve(

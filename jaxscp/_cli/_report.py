@@ -8,6 +8,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from .._attempt import Attempt
 from .._solution import Solution
 from .._status import name_of
 from .._verification import Verification
@@ -27,7 +28,8 @@ def as_json(
     `defect_max` is relative to the states' scales. `position_error` [m] and
     `violations` come from the verification: intervals flown again from their nodes, and
     limits checked between the nodes too. `optimality` is the scaled residual of the
-    optimality conditions, and `polished` whether it is within the tolerance.
+    optimality conditions, and `polished` whether it is within the tolerance. `attempts`
+    has an entry for each route tried; `verified` is null where it was not asked.
     """
     required = mission.data_required
     report = {
@@ -50,6 +52,7 @@ def as_json(
         "iterations": int(solution.statistics.iterations),
         "polish_iterations": int(solution.statistics.polish_iterations),
         "subproblems": int(solution.statistics.subproblems),
+        "attempts": [_entry(attempt, verification) for attempt in solution.attempts],
         "seconds": seconds,
         "versions": {
             "python": platform.python_version(),
@@ -65,7 +68,7 @@ def table(
     verification: Verification,
     seconds: dict[str, float],
 ) -> str:
-    """The result for a person to read, about ten lines."""
+    """The result for a person to read, about ten lines, and one for each route tried."""
     statistics = solution.statistics
     rows = {
         "mission": mission.name,
@@ -82,6 +85,11 @@ def table(
         "seconds": ", ".join(f"{name} {spent:.2f}" for name, spent in seconds.items()),
     }
     lines = [f"{name:15} {text}" for name, text in rows.items()]
+    if len(solution.attempts) > 1:
+        lines += [
+            f"{f'route {number}':15} {attempt}"
+            for number, attempt in enumerate(solution.attempts, 1)
+        ]
     for name, worst in verification.violations.items():
         where = "at nodes" if name in verification.node_violations else "between nodes"
         lines.append(
@@ -92,7 +100,9 @@ def table(
 
 
 def progress_line(row: dict[str, Any]) -> str:
-    """One iteration of a solve in progress; its first line carries the headings."""
+    """One iteration of a solve in progress; its first line carries the headings, from
+    the second route on under the route's number.
+    """
     columns = {
         "iteration": "d",
         "objective": ".6g",
@@ -114,7 +124,9 @@ def progress_line(row: dict[str, Any]) -> str:
         return line
     # "penalized_cost" and its like are cut to their first words.
     headings = " ".join(f"{name.partition('_')[0]:>{width}}" for name in columns)
-    return f"{headings}\n{line}"
+    attempt = int(row["attempt"])
+    route = f"route {attempt + 1}\n" if attempt else ""
+    return f"{route}{headings}\n{line}"
 
 
 def position_error(verification: Verification) -> float:
@@ -146,6 +158,18 @@ def _data(mission: Mission, verification: Verification) -> str:
     return f"{text} of {float(mission.data_required) / 1e6:.3f} Mbit required"
 
 
+def _entry(attempt: Attempt, verification: Verification) -> dict[str, Any]:
+    """The solve from one guess; the one chosen is verified here in any case."""
+    chosen = bool(attempt.chosen)
+    return {
+        "objective": float(attempt.objective),
+        "status": name_of(attempt.status),
+        "converged": bool(attempt.converged),
+        "verified": bool(verification.verified) if chosen else attempt.verified,
+        "chosen": chosen,
+    }
+
+
 def _version(package: str) -> str | None:
     """None for a package that runs from its source tree without being installed."""
     try:
@@ -158,6 +182,8 @@ def _finite(value: Any) -> Any:
     """The same tree with null where JSON has no number."""
     if isinstance(value, dict):
         return {name: _finite(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [_finite(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
