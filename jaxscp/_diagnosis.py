@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ._paced_problem import PACE_STATES
 from ._problem import OptimalControlProblem
 from ._status import Status, sentence_of
 from ._trajectory import Trajectory
@@ -73,7 +74,7 @@ def _violated(
         (violations.state_between, "{} exceeds its limit by", between),
     ):
         relative, row, entry, value = _worst(broken, state_scale)
-        name = problem.state_names[entry]
+        name = (*problem.state_names, *PACE_STATES)[entry]
         amount = _amount(problem, name, value)
         yield relative, f"{verb.format(name)} {amount} {where(row)}"
     for by_name, where in (

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._discretization import Discretization
+from ._free_intervals import lifted, lowered
 from ._outcome import outcome
 from ._problem import OptimalControlProblem
 from ._proximal import ProximalSCP
@@ -55,7 +56,7 @@ def solve(
 
     **Other arguments:**
 
-    - `discretization`: hold, quadrature and integration tolerance.
+    - `discretization`: hold, quadrature, free intervals and integration tolerance.
     - `progress`: called after every iteration with a dictionary of its numbers: the
         fields of [`History`][] and `iteration`. Pass the same function each time: a new
         one compiles anew.
@@ -74,7 +75,11 @@ def solve(
         guess = straight_line(problem, nodes)
     check_guess(problem, guess)
     transcription = Transcription(problem, discretization, guess.fractions)
-    solution = _run(method, transcription, guess, progress)
+    if discretization.interval_ratio is None:
+        solution = _run(method, transcription, guess, progress)
+    else:
+        paced = lifted(transcription, guess)
+        solution = lowered(_run(method, *paced, progress), problem)
     if is_concrete(solution.objective):
         jax.block_until_ready(solution.objective)
         elapsed = jnp.asarray(time.perf_counter() - begun)
