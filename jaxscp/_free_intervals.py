@@ -83,7 +83,7 @@ def lowered(solution: Solution, problem: OptimalControlProblem) -> Solution:
             controls=trajectory.controls[:, :-controls],
             final_time=time[-1],
         ),
-        objective=solution.objective - widths @ cost.of_change(changes),
+        objective=solution.objective - widths @ jax.vmap(cost.of_change)(changes),
         multipliers=Multipliers(
             dynamics=multipliers.dynamics[:, :-states],
             path_constraints=multipliers.path_constraints,

@@ -24,7 +24,9 @@ PACE_STATES, PACE_CONTROLS = ("time", "pace"), ("change of pace",)
 _TIME, _PACE = -2, -1
 # Typical size of the pace and, in shares of its limit, of its change: intervals must
 # change a lot before the flight does.
-_PACE_SCALE, _CHANGE_SCALE = 3.0, 1.0
+_PACE_SCALE, _CHANGE_SCALE = 3.0, 3.0
+# Longest interval, in mean ones of the guess.
+_LONGEST = 1000.0
 
 
 class Paced(eqx.Module):
@@ -107,7 +109,14 @@ def paced_problem(
     return OptimalControlProblem(
         PacedDynamics(problem.dynamics),
         state=problem.state.followed_by(
-            Bounds.free(2, scale=jnp.stack([scale, jnp.asarray(_PACE_SCALE)]))
+            Bounds(
+                jnp.full(2, -jnp.inf),
+                jnp.stack([jnp.asarray(jnp.inf), jnp.log(duration * _LONGEST)]),
+                scale=jnp.stack([scale, jnp.asarray(_PACE_SCALE)]),
+                fixed=(False, False),
+                # Between the nodes the pace changes evenly: nothing to watch.
+                limited=((False, False), (False, False)),
+            )
         ),
         control=problem.control.followed_by(
             Bounds(

@@ -16,6 +16,9 @@ required (without one the optimizer flies into the antenna).
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import equinox as eqx
+import jax.numpy as jnp
+
 from ._discretization import Discretization
 from ._guess_plan import GuessPlan as GuessPlan
 from ._mission import Mission as Mission
@@ -24,6 +27,7 @@ from ._records import dotted_paths, from_dict, to_dict, with_entries
 from ._scp import AbstractSCP
 from ._solution import Solution
 from ._solve import solve as solve_problem
+from ._trajectory import Trajectory
 from ._types import ArrayLike
 from .models.channel import Channel
 from .models.limits import Limits
@@ -49,6 +53,10 @@ _MISSIONS = {
 }
 # Where limits hold, as parts of each interval watched: an interval has room for one peak.
 ENFORCED = {"nodes": 0, "between": 1}
+# Time grids, as the ratio that the durations of neighbouring intervals may have.
+GRIDS = {"uniform": None, "free": 1.2}
+# Of the nodes, where intervals are free and the plan says nothing.
+_FREE_TRANSIT_SHARE = 0.2
 # Not numbers: they say what a mission is called.
 _LABELS = ("name", "summary")
 
@@ -88,6 +96,7 @@ def solve(
     method: AbstractSCP = ProximalSCP(),  # noqa: B008  (immutable)
     *,
     enforce: str = "between",
+    grid: str = "uniform",
     nodes: int | ArrayLike = 100,
     progress: Callable[[dict], None] | None = None,
     throw: bool = True,
@@ -98,21 +107,46 @@ def solve(
 
     - `enforce`: "between" holds tilt, floor and buildings within the intervals as well,
         as a flight must; "nodes", as in the paper, at the nodes alone.
+    - `grid`: "uniform", as in the paper, spaces the nodes as the guess does; "free" lets
+        each interval be up to 1.2 times as long as its neighbours, and starts with more
+        nodes outside the wait.
     - `nodes`: as in [`Mission.guess`][].
     - `method`, `progress`, `throw`: as in [`jaxscp.solve`][].
 
-    **Raises:** what [`jaxscp.solve`][] raises; `ValueError` for another `enforce`.
+    **Raises:** what [`jaxscp.solve`][] raises; `ValueError` for another `enforce`
+    or `grid`.
     """
     if enforce not in ENFORCED:
         raise ValueError(f"enforce={enforce!r}: choose 'nodes' or 'between'.")
     return solve_problem(
         mission.problem(),
-        mission.guess(nodes),
+        guess(mission, nodes, grid=grid),
         method,
-        discretization=Discretization(between=ENFORCED[enforce]),
+        discretization=Discretization(
+            between=ENFORCED[enforce], interval_ratio=GRIDS[grid]
+        ),
         progress=progress,
         throw=throw,
     )
+
+
+def guess(
+    mission: Mission, nodes: int | ArrayLike = 100, *, grid: str = "uniform"
+) -> Trajectory:
+    """Where [`solve`][] starts on a grid.
+
+    **Raises:** `ValueError` for an unknown grid.
+    """
+    if grid not in GRIDS:
+        raise ValueError(f"grid={grid!r}: choose 'uniform' or 'free'.")
+    if grid == "free" and mission.plan.transit_share is None:
+        mission = eqx.tree_at(
+            lambda mission: mission.plan.transit_share,
+            mission,
+            jnp.asarray(_FREE_TRANSIT_SHARE),
+            is_leaf=lambda leaf: leaf is None,
+        )
+    return mission.guess(nodes)
 
 
 def paths(mission: Mission) -> tuple[str, ...]:
