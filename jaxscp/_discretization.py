@@ -35,6 +35,10 @@ class Discretization(eqx.Module):
         of its neighbours: at most so many times as long, or as short. The guess's
         fractions are where it starts. With None they stay as they are. Needs a zero-order
         hold and the quadrature along the flow.
+    - `longest_interval`: how long free intervals may become, in mean ones of the guess;
+        infinite by default. Where controls are held for long, little changes of them lead
+        far away, and a solve needs many iterations. The flight time is then limited to
+        that many times the guess's.
     - `tolerance`: error allowed in the states over one interval, and in the integrals
         over all of them, relative to each quantity's scale. The number of Runge-Kutta
         substeps, the same in all intervals, follows the error that comparing with half
@@ -46,6 +50,7 @@ class Discretization(eqx.Module):
     quadrature: Quadrature = eqx.field(static=True, default=Quadrature.FLOW)
     between: int = eqx.field(static=True, default=0)
     interval_ratio: float | None = eqx.field(static=True, default=None)
+    longest_interval: float = eqx.field(static=True, default=math.inf)
     tolerance: float = eqx.field(static=True, default=3e-5)
     min_substeps: int = eqx.field(static=True, default=2)
     max_substeps: int = eqx.field(static=True, default=256)
@@ -76,6 +81,11 @@ class Discretization(eqx.Module):
             raise ValueError(
                 f"interval_ratio={ratio}: give a number above 1, or None for durations "
                 "that keep to the guess."
+            )
+        if not self.longest_interval > 1.0:
+            raise ValueError(
+                f"longest_interval={self.longest_interval}: give a number of mean "
+                "intervals above 1, or infinity."
             )
         # Over uneven intervals neither means what it says.
         if self.holds_right:

@@ -1,6 +1,6 @@
 """Free-interval grids: each interval has a duration of its own, near its neighbours'.
 
-A solve on such a grid is one of another problem, in which time is a state: here that
+A solve on such a grid is one of another problem, in which time is a state. Here that
 problem and its guess are made, and its solution becomes one of the problem it was made
 from.
 """
@@ -12,8 +12,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ._paced_problem import (
+    PACE_CONTROLS,
+    PACE_STATES,
+    PacedCost,
+    durations,
+    paced_problem,
+)
 from ._packed import Packed
-from ._paced_problem import PACE_CONTROLS, PACE_STATES, PacedCost, durations, paced_problem
 from ._problem import OptimalControlProblem
 from ._scaling import automatic_scaling
 from ._solution import Multipliers, Solution
@@ -37,12 +43,15 @@ def lifted(
     steepest = math.log(settings.interval_ratio)
     variables = transcription.variables(guess)
     size = automatic_scaling(transcription, variables).objective
+    intervals = transcription.nodes - 1
+    duration, size = jax.lax.stop_gradient((variables.final_time, size))
     paced = paced_problem(
         problem,
-        transcription.nodes - 1,
+        intervals,
         settings.interval_ratio,
-        duration=jax.lax.stop_gradient(variables.final_time),
-        price=EVENNESS * jax.lax.stop_gradient(size),
+        duration=duration,
+        longest=settings.longest_interval * duration / intervals,
+        price=EVENNESS * size,
     )
     pace = _guessed_pace(variables.final_time * jnp.diff(guess.fractions), steepest)
     times = jnp.append(0.0, jnp.cumsum(durations(pace)))
@@ -50,7 +59,7 @@ def lifted(
     at = jax.vmap(jnp.interp, in_axes=(None, None, 1), out_axes=1)
     states = at(fractions, guess.fractions, guess.states)
     controls = at(fractions, guess.fractions, guess.controls)
-    change = jnp.diff(pace, append=pace[-1:]) * (transcription.nodes - 1)
+    change = jnp.diff(pace, append=pace[-1:]) * intervals
     even = jnp.linspace(0.0, 1.0, transcription.nodes)
     return Transcription(paced, settings, even), Trajectory(
         fractions=even,

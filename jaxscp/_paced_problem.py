@@ -1,4 +1,4 @@
-r"""A problem by the share of its intervals that has passed, with a clock among its states.
+r"""A problem by the share of its intervals that has passed, a clock among its states.
 
 $$\frac{dx}{ds} = e^p f(t, x, u), \quad \frac{dt}{ds} = e^p, \quad \frac{dp}{ds} = w,
   \quad |w| \le (N - 1) \log r$$
@@ -25,8 +25,6 @@ _TIME, _PACE = -2, -1
 # Typical size of the pace and, in shares of its limit, of its change: intervals must
 # change a lot before the flight does.
 _PACE_SCALE, _CHANGE_SCALE = 3.0, 3.0
-# Longest interval, in mean ones of the guess.
-_LONGEST = 1000.0
 
 
 class Paced(eqx.Module):
@@ -92,6 +90,7 @@ def paced_problem(
     ratio: float,
     *,
     duration: Scalar,
+    longest: Scalar,
     price: Scalar,
 ) -> OptimalControlProblem:
     """The problem by shares of its intervals.
@@ -100,6 +99,7 @@ def paced_problem(
 
     - `intervals`: how many there are. `ratio`: of the durations of two neighbours.
     - `duration`: typical flight time [s], if the problem states none.
+    - `longest`: longest interval [s], for intervals whose pace does not change.
     - `price`: of changing the pace as fast as allowed, all the way, in the cost's unit.
     """
     steepest = jnp.asarray(intervals * math.log(ratio))
@@ -111,7 +111,7 @@ def paced_problem(
         state=problem.state.followed_by(
             Bounds(
                 jnp.full(2, -jnp.inf),
-                jnp.stack([jnp.asarray(jnp.inf), jnp.log(duration * _LONGEST)]),
+                jnp.stack([jnp.asarray(jnp.inf), jnp.log(longest * intervals)]),
                 scale=jnp.stack([scale, jnp.asarray(_PACE_SCALE)]),
                 fixed=(False, False),
                 # Between the nodes the pace changes evenly: nothing to watch.

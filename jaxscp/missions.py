@@ -55,8 +55,8 @@ _MISSIONS = {
 ENFORCED = {"nodes": 0, "between": 1}
 # Time grids, as the ratio that the durations of neighbouring intervals may have.
 GRIDS = {"uniform": None, "free": 1.2}
-# Of the nodes, where intervals are free and the plan says nothing.
-_FREE_TRANSIT_SHARE = 0.2
+# Where intervals are free: of the nodes, if the plan says nothing, and in mean intervals.
+_FREE_TRANSIT_SHARE, _LONGEST_INTERVAL = 0.2, 1.3
 # Not numbers: they say what a mission is called.
 _LABELS = ("name", "summary")
 
@@ -108,8 +108,8 @@ def solve(
     - `enforce`: "between" holds tilt, floor and buildings within the intervals as well,
         as a flight must; "nodes", as in the paper, at the nodes alone.
     - `grid`: "uniform", as in the paper, spaces the nodes as the guess does; "free" lets
-        each interval be up to 1.2 times as long as its neighbours, and starts with more
-        nodes outside the wait.
+        each interval be up to 1.2 times as long as its neighbours and 1.3 times as long
+        as the guess's mean one, and starts with more nodes outside the wait.
     - `nodes`: as in [`Mission.guess`][].
     - `method`, `progress`, `throw`: as in [`jaxscp.solve`][].
 
@@ -123,7 +123,9 @@ def solve(
         guess(mission, nodes, grid=grid),
         method,
         discretization=Discretization(
-            between=ENFORCED[enforce], interval_ratio=GRIDS[grid]
+            between=ENFORCED[enforce],
+            interval_ratio=GRIDS[grid],
+            longest_interval=_LONGEST_INTERVAL,
         ),
         progress=progress,
         throw=throw,

@@ -402,6 +402,10 @@ def test_free_controls(hold, quadrature, free):
         ),
         ({"interval_ratio": 1.0}, r"interval_ratio=1\.0: give a number above 1, or None"),
         (
+            {"interval_ratio": 2.0, "longest_interval": 0.9},
+            r"longest_interval=0\.9: give a number of mean intervals above 1",
+        ),
+        (
             {"interval_ratio": 2.0, "hold": FIRST_ORDER},
             r"interval_ratio=2\.0: needs hold=ZeroOrderHold\(\), not FirstOrderHold",
         ),

