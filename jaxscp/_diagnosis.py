@@ -17,7 +17,8 @@ from ._types import Array, Float
 class Violations(eqx.Module):
     """How far each constraint of the discrete problem is broken, in its own unit.
 
-    - `dynamics`: virtual control: next node minus the flow's end, with its sign.
+    - `dynamics`: virtual control: next node minus the flow's end, with its sign. Where
+        intervals are free those of the grid, time and pace, come behind the states'.
     - `path_constraints`: positive part of each, at each node.
     - `integrals`: what each is short of its lower limit, or beyond its upper one.
     - `state_between`, `path_between`: how far state limits and path constraints are

@@ -25,7 +25,7 @@ from ._scaling import automatic_scaling
 from ._solution import Multipliers, Solution
 from ._trajectory import Trajectory
 from ._transcription import Transcription
-from ._types import Array, Float
+from ._types import Array, Float, Scalar
 
 # The objective may rise by this share of its scale for the sake of an even grid: where
 # it is all the same how long intervals are, their durations must still be determined.
@@ -107,7 +107,9 @@ def lowered(solution: Solution, problem: OptimalControlProblem) -> Solution:
     )
 
 
-def _guessed_pace(seconds: Float[Array, " I"], steepest: float) -> Float[Array, " N"]:
+def _guessed_pace(
+    seconds: Float[Array, " I"], steepest: float | Scalar
+) -> Float[Array, " N"]:
     """A pace that leads to durations near those given, within the limit of its change."""
     wanted = _flattened(jnp.log(seconds * seconds.size), steepest)
 
@@ -126,7 +128,7 @@ def _at_nodes(values: Float[Array, " I"]) -> Float[Array, " N"]:
     return 0.5 * (around[:-1] + around[1:])
 
 
-def _flattened(values: Array, steepest: float) -> Array:
+def _flattened(values: Array, steepest: float | Scalar) -> Array:
     """The largest values, none above those given, that change by so much at most."""
     places = jnp.arange(values.size)
     apart = jnp.abs(places[:, None] - places[None])

@@ -13,6 +13,7 @@ the weight at 600 rad/s, torque limits, and an altitude floor of 10 m where data
 required (without one the optimizer flies into the antenna).
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -53,10 +54,13 @@ _MISSIONS = {
 }
 # Where limits hold, as parts of each interval watched: an interval has room for one peak.
 ENFORCED = {"nodes": 0, "between": 1}
-# Time grids, as the ratio that the durations of neighbouring intervals may have.
-GRIDS = {"uniform": None, "free": 1.2}
-# Where intervals are free: of the nodes, if the plan says nothing, and in mean intervals.
-_FREE_TRANSIT_SHARE, _LONGEST_INTERVAL = 0.2, 1.3
+# Time grids.
+GRIDS = {
+    "uniform": Discretization(),
+    "free": Discretization(interval_ratio=1.2, longest_interval=1.3),
+}
+# Of the nodes, where intervals are free and the plan says nothing.
+_FREE_TRANSIT_SHARE = 0.2
 # Not numbers: they say what a mission is called.
 _LABELS = ("name", "summary")
 
@@ -122,11 +126,7 @@ def solve(
         mission.problem(),
         guess(mission, nodes, grid=grid),
         method,
-        discretization=Discretization(
-            between=ENFORCED[enforce],
-            interval_ratio=GRIDS[grid],
-            longest_interval=_LONGEST_INTERVAL,
-        ),
+        discretization=dataclasses.replace(GRIDS[grid], between=ENFORCED[enforce]),
         progress=progress,
         throw=throw,
     )

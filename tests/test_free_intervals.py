@@ -17,15 +17,22 @@ from scipy.integrate import quad
 from test_validation import compilations
 
 import jaxscp
-from jaxscp import Bounds, Integral, OptimalControlProblem, missions
-from jaxscp._free_intervals import _guessed_pace
-from jaxscp._paced_problem import durations
+from jaxscp import (
+    Bounds,
+    Integral,
+    OptimalControlProblem,
+    _free_intervals,
+    _paced_problem,
+)
 from jaxscp.models.systems import double_integrator
 
 INTERVALS, RATIO = 5, 1.5
 FREE = jaxscp.Discretization(interval_ratio=RATIO)
 UNEVEN = np.array([0.0, 0.13, 0.3, 0.5, 0.73, 1.0])
 DISTANCE = 3.0
+# One by one their operations would each be compiled.
+durations = jax.jit(_paced_problem.durations)
+guessed_pace = jax.jit(_free_intervals._guessed_pace)
 
 
 class Effort(eqx.Module):
@@ -188,23 +195,14 @@ def test_durations_are_the_integral_of_the_pace(start, rise):
 
 def test_a_smooth_guess_is_kept():
     seconds = jnp.exp(0.3 * jnp.sin(jnp.linspace(0.0, 6.0, 40)))
-    pace = _guessed_pace(seconds, math.log(1.2))
+    pace = guessed_pace(seconds, math.log(1.2))
     assert_allclose(durations(pace), seconds, rtol=2e-3)
 
 
 @given(st.lists(st.floats(0.01, 100.0), min_size=7, max_size=7))
 def test_any_guess_is_made_gradual(seconds):
     seconds = jnp.array(seconds)
-    pace = _guessed_pace(seconds, math.log(1.2))
+    pace = guessed_pace(seconds, math.log(1.2))
     found = np.asarray(durations(pace))
     assert np.max(np.abs(np.diff(np.log(found)))) <= math.log(1.2) + 1e-9
     assert found.sum() == pytest.approx(float(jnp.sum(seconds)))
-
-
-def test_missions_have_a_grid():
-    mission = missions.get("free-space-30MB")
-    steps = np.diff(missions.guess(mission, 100, grid="free").times)
-    assert (steps < 2.0).sum() >= 18
-    assert_allclose(missions.guess(mission, 100).fractions, np.linspace(0, 1, 100))
-    with pytest.raises(ValueError, match=r"grid='even': choose 'uniform' or 'free'\."):
-        missions.solve(mission, grid="even")
