@@ -22,9 +22,10 @@ from ._types import Array, Float, Scalar, State, TimeStateControl
 # What comes behind the problem's own states, and behind its own controls.
 PACE_STATES, PACE_CONTROLS = ("time", "pace"), ("change of pace",)
 _TIME, _PACE = -2, -1
-# Typical size of the pace and, in shares of its limit, of its change: intervals must
-# change a lot before the flight does.
-_PACE_SCALE, _CHANGE_SCALE = 3.0, 3.0
+# Typical size of the pace and, in shares of its limit, of its change. Both are larger
+# than what is likely: the trust region must not hold the grid back. The cost's scale,
+# which all tolerances are relative to, grows with the square of the first.
+_PACE_SCALE, _CHANGE_SCALE = 10.0, 3.0
 
 
 class Paced(eqx.Module):

@@ -89,7 +89,7 @@ def lengths(solution) -> np.ndarray:
 
 def check(problem, solution):
     """What holds of every solution: it flies, and neighbours are alike."""
-    assert bool(solution.polished), solution.message
+    assert bool(solution.converged), solution.message
     result = jaxscp.verify(problem, solution, between=True, tolerance=1e-6)
     assert result.verified, str(result)
     assert result.objective == pytest.approx(float(solution.objective), rel=1e-7)
@@ -125,6 +125,7 @@ def test_an_even_grid_is_found_where_it_is_best():
     problem = cart(effort=1.0, lateness=2.0, acceleration=50.0)
     solution = solved(problem)
     check(problem, solution)
+    assert bool(solution.polished)
     best = even_optimum(2.0)
     assert_allclose(lengths(solution), best / INTERVALS, rtol=1e-4)
     # A third of the price of time is spent on effort; none on the grid itself.
@@ -132,7 +133,7 @@ def test_an_even_grid_is_found_where_it_is_best():
     assert float(solution.multipliers.final_time) == pytest.approx(0.0, abs=1e-6)
     # The objective grows with the root of the distance.
     shadow = 2 / 3 * 2.0 * best / DISTANCE
-    assert_allclose(solution.multipliers.state[-1, 0], -shadow, rtol=1e-6)
+    assert_allclose(solution.multipliers.state[-1, 0], -shadow, rtol=1e-4)
 
 
 def test_the_price_of_a_flight_time():
@@ -170,10 +171,11 @@ def test_new_numbers_compile_nothing():
 
 
 def test_a_solution_is_a_guess_that_stays():
-    problem = cart(effort=0.0, lateness=1.0, acceleration=2.0)
+    problem = cart(effort=1.0, lateness=2.0, acceleration=50.0)
     first = solved(problem)
     again = jaxscp.solve(problem, first.trajectory, discretization=first.discretization)
-    assert_allclose(lengths(again), lengths(first), rtol=1e-3)
+    assert int(again.statistics.iterations) < int(first.statistics.iterations)
+    assert_allclose(lengths(again), lengths(first), rtol=1e-4)
     assert float(again.objective) == pytest.approx(float(first.objective), rel=1e-8)
 
 
