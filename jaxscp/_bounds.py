@@ -111,6 +111,22 @@ class Bounds(eqx.Module):
         """Limited from above only."""
         return cls(-jnp.inf, upper, scale=scale)
 
+    def followed_by(self, other: "Bounds") -> "Bounds":
+        """The entries of both vectors; a number counts as a vector of one."""
+        both = (self, other)
+        scales = [
+            jnp.full(b.lower.size, jnp.nan) if b.scale is None else b.scale.ravel()
+            for b in both
+        ]
+        below, above = (sum((b.limited[side] for b in both), ()) for side in (0, 1))
+        return Bounds(
+            jnp.concatenate([b.lower.ravel() for b in both]),
+            jnp.concatenate([b.upper.ravel() for b in both]),
+            scale=jnp.concatenate(scales),
+            fixed=self.fixed + other.fixed,
+            limited=(below, above),
+        )
+
     @property
     def shape(self) -> tuple[int, ...]:
         return self.lower.shape

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ._paced_problem import PACE_STATES
 from ._problem import OptimalControlProblem
 from ._status import Status, sentence_of
 from ._trajectory import Trajectory
@@ -16,7 +17,8 @@ from ._types import Array, Float
 class Violations(eqx.Module):
     """How far each constraint of the discrete problem is broken, in its own unit.
 
-    - `dynamics`: virtual control: next node minus the flow's end, with its sign.
+    - `dynamics`: virtual control: next node minus the flow's end, with its sign. Where
+        intervals are free those of the grid, time and pace, come behind the states'.
     - `path_constraints`: positive part of each, at each node.
     - `integrals`: what each is short of its lower limit, or beyond its upper one.
     - `state_between`, `path_between`: how far state limits and path constraints are
@@ -73,7 +75,7 @@ def _violated(
         (violations.state_between, "{} exceeds its limit by", between),
     ):
         relative, row, entry, value = _worst(broken, state_scale)
-        name = problem.state_names[entry]
+        name = (*problem.state_names, *PACE_STATES)[entry]
         amount = _amount(problem, name, value)
         yield relative, f"{verb.format(name)} {amount} {where(row)}"
     for by_name, where in (

@@ -1,6 +1,7 @@
 """How continuous time becomes nodes and intervals: the settings."""
 
 import enum
+import math
 
 import equinox as eqx
 
@@ -30,6 +31,14 @@ class Discretization(eqx.Module):
         are enforced too, each at the moment of its largest value there. With 0 they hold
         at the nodes alone, and may be exceeded between them. One part is enough where
         an interval has room for one peak.
+    - `interval_ratio`: lets each interval have a duration of its own, free but for those
+        of its neighbours: at most so many times as long, or as short. The guess's
+        fractions are where it starts. With None they stay as they are. Needs a zero-order
+        hold and the quadrature along the flow.
+    - `longest_interval`: how long free intervals may become, in mean ones of the guess;
+        infinite by default. Where controls are held for long, little changes of them lead
+        far away, and a solve needs many iterations. The flight time is then limited to
+        that many times the guess's.
     - `tolerance`: error allowed in the states over one interval, and in the integrals
         over all of them, relative to each quantity's scale. The number of Runge-Kutta
         substeps, the same in all intervals, follows the error that comparing with half
@@ -40,6 +49,8 @@ class Discretization(eqx.Module):
     hold: AbstractHold = ZeroOrderHold()
     quadrature: Quadrature = eqx.field(static=True, default=Quadrature.FLOW)
     between: int = eqx.field(static=True, default=0)
+    interval_ratio: float | None = eqx.field(static=True, default=None)
+    longest_interval: float = eqx.field(static=True, default=math.inf)
     tolerance: float = eqx.field(static=True, default=3e-5)
     min_substeps: int = eqx.field(static=True, default=2)
     max_substeps: int = eqx.field(static=True, default=256)
@@ -60,6 +71,32 @@ class Discretization(eqx.Module):
             raise ValueError(
                 f"between={self.between}: needs two substeps a part, and max_substeps is "
                 f"{self.max_substeps}; raise it, or watch fewer parts."
+            )
+
+        if self.interval_ratio is not None:
+            self._check_free_intervals(self.interval_ratio)
+
+    def _check_free_intervals(self, ratio: float):
+        if not 1.0 < ratio < math.inf:
+            raise ValueError(
+                f"interval_ratio={ratio}: give a number above 1, or None for durations "
+                "that keep to the guess."
+            )
+        if not self.longest_interval > 1.0:
+            raise ValueError(
+                f"longest_interval={self.longest_interval}: give a number of mean "
+                "intervals above 1, or infinity."
+            )
+        # Over uneven intervals neither means what it says.
+        if self.holds_right:
+            raise ValueError(
+                f"interval_ratio={ratio}: needs hold=ZeroOrderHold(), not "
+                f"{type(self.hold).__name__}()."
+            )
+        if self.quadrature is not Quadrature.FLOW:
+            raise ValueError(
+                f"interval_ratio={ratio}: needs quadrature=Quadrature.FLOW, not "
+                f"{self.quadrature}."
             )
 
     def control_nodes(self, nodes: int) -> int:

@@ -16,7 +16,7 @@ RK4_NODES = (0.0, 0.5, 0.5, 1.0)
 RK4_WEIGHTS = (1 / 6, 1 / 3, 1 / 3, 1 / 6)
 # No peak is looked for nearer to a node, in shares of an interval: the node itself is
 # enforced, and at a fixed one a limit just met would have no gradient.
-_NODE_SHARE = 0.05
+_NODE_SHARE = 0.02
 
 
 class Span(eqx.Module):

@@ -40,7 +40,7 @@ class ProximalSCP(AbstractSCP):
     curve: its measure adds the size of their curvature in the Lagrangian. Nearer to one
     steps are tried with all of that curvature, convex or not, along the constraints that
     were active. Close to it that is Newton's method with the weight of Levenberg and
-    Marquardt: the iterate is polished to a point that satisfies the optimality conditions.
+    Marquardt: the iterate is polished to a point that meets the optimality conditions.
 
     **Arguments:**
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from ._choice import best, best_unverified
 from ._discretization import Discretization
+from ._free_intervals import lifted, lowered
 from ._outcome import outcome
 from ._problem import OptimalControlProblem
 from ._proximal import ProximalSCP
@@ -60,7 +61,7 @@ def solve(
 
     **Other arguments:**
 
-    - `discretization`: hold, quadrature and integration tolerance.
+    - `discretization`: hold, quadrature, free intervals and integration tolerance.
     - `progress`: called after every iteration with a dictionary of its numbers: the
         fields of [`History`][], `iteration`, and `attempt`: which of the guesses it
         started from, counted from 0. Pass the same function each time: a new one
@@ -108,7 +109,12 @@ def _best(
     """The best of what the guesses lead to, all through one compiled program."""
 
     def attempt(index, guess):
-        return _run(method, transcription, guess, jnp.asarray(index), progress)
+        index = jnp.asarray(index)
+        if transcription.discretization.interval_ratio is None:
+            return _run(method, transcription, guess, index, progress)
+        paced = lifted(transcription, guess)
+        solution = _run(method, *paced, index, progress)
+        return lowered(solution, transcription.problem)
 
     if len(guesses) == 1:
         return attempt(0, guesses[0])

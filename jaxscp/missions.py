@@ -13,8 +13,12 @@ the weight at 600 rad/s, torque limits, and an altitude floor of 10 m where data
 required (without one the optimizer flies into the antenna).
 """
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
 
 from ._discretization import Discretization
 from ._guess_plan import GuessPlan as GuessPlan
@@ -24,6 +28,7 @@ from ._records import dotted_paths, from_dict, to_dict, with_entries
 from ._scp import AbstractSCP
 from ._solution import Solution
 from ._solve import solve as solve_problem
+from ._trajectory import Trajectory
 from ._types import ArrayLike
 from .models.channel import Channel
 from .models.limits import Limits
@@ -49,6 +54,13 @@ _MISSIONS = {
 }
 # Where limits hold, as parts of each interval watched: an interval has room for one peak.
 ENFORCED = {"nodes": 0, "between": 1}
+# Time grids.
+GRIDS = {
+    "uniform": Discretization(),
+    "free": Discretization(interval_ratio=1.2, longest_interval=1.3),
+}
+# Of the nodes, where intervals are free and the plan says nothing.
+_FREE_TRANSIT_SHARE = 0.2
 # Not numbers: they say what a mission is called.
 _LABELS = ("name", "summary")
 
@@ -88,6 +100,7 @@ def solve(
     method: AbstractSCP = ProximalSCP(),  # noqa: B008  (immutable)
     *,
     enforce: str = "between",
+    grid: str = "uniform",
     nodes: int | ArrayLike = 100,
     progress: Callable[[dict], None] | None = None,
     throw: bool = True,
@@ -101,21 +114,44 @@ def solve(
 
     - `enforce`: "between" holds tilt, floor and buildings within the intervals as well,
         as a flight must; "nodes", as in the paper, at the nodes alone.
+    - `grid`: "uniform", as in the paper, spaces the nodes as the guess does; "free" lets
+        each interval be up to 1.2 times as long as its neighbours and 1.3 times as long
+        as the guess's mean one, and starts with more nodes outside the wait.
     - `nodes`: as in [`Mission.guesses`][].
     - `method`, `progress`, `throw`: as in [`jaxscp.solve`][].
 
-    **Raises:** what [`jaxscp.solve`][] raises; `ValueError` for another `enforce`.
+    **Raises:** what [`jaxscp.solve`][] raises; `ValueError` for another `enforce`
+    or `grid`.
     """
     if enforce not in ENFORCED:
         raise ValueError(f"enforce={enforce!r}: choose 'nodes' or 'between'.")
     return solve_problem(
         mission.problem(),
-        mission.guesses(nodes),
+        guesses(mission, nodes, grid=grid),
         method,
-        discretization=Discretization(between=ENFORCED[enforce]),
+        discretization=dataclasses.replace(GRIDS[grid], between=ENFORCED[enforce]),
         progress=progress,
         throw=throw,
     )
+
+
+def guesses(
+    mission: Mission, nodes: int | ArrayLike = 100, *, grid: str = "uniform"
+) -> tuple[Trajectory, ...]:
+    """Where [`solve`][] starts on a grid, shortest route first.
+
+    **Raises:** `ValueError` for an unknown grid.
+    """
+    if grid not in GRIDS:
+        raise ValueError(f"grid={grid!r}: choose 'uniform' or 'free'.")
+    if grid == "free" and mission.plan.transit_share is None:
+        mission = eqx.tree_at(
+            lambda mission: mission.plan.transit_share,
+            mission,
+            jnp.asarray(_FREE_TRANSIT_SHARE),
+            is_leaf=lambda leaf: leaf is None,
+        )
+    return mission.guesses(nodes)
 
 
 def paths(mission: Mission) -> tuple[str, ...]:

@@ -151,3 +151,12 @@ def test_of_traced_limits_all_count_unless_told():
 def test_limits_must_all_be_told():
     with pytest.raises(ValueError, match=r"limited has 2, 1 entries for 2 limits"):
         Bounds(jnp.zeros(2), jnp.ones(2), limited=((True, True), (True,)))
+
+
+def test_one_after_the_other():
+    both = Bounds([0.0, -np.inf], [1.0, 2.0]).followed_by(Bounds.exactly(3.0, scale=5.0))
+    np.testing.assert_array_equal(both.lower, [0.0, -np.inf, 3.0])
+    np.testing.assert_array_equal(both.upper, [1.0, 2.0, 3.0])
+    np.testing.assert_array_equal(both.scale, [np.nan, np.nan, 5.0])
+    assert both.fixed == (False, False, True)
+    assert both.limited == ((True, False, True), (True, True, True))

@@ -233,6 +233,7 @@ def test_foreign_files_are_refused(tmp_path, capsys):
         (["free-flight", "--nodes", "1"], ["nodes", "'1'"]),
         (["free-flight", "--nodes", "ten"], ["nodes", "'ten'"]),
         (["free-flight", "--method", "newton"], ["newton", "proximal", "paper"]),
+        (["free-flight", "--grid", "even"], ["even", "uniform", "free"]),
         (["free-flight", "--fast"], ["--fast"]),
     ],
     ids=lambda value: " ".join(value),

@@ -400,6 +400,19 @@ def test_free_controls(hold, quadrature, free):
             {"between": 5, "max_substeps": 8},
             "between=5: needs two substeps a part, and max_substeps is 8; raise it",
         ),
+        ({"interval_ratio": 1.0}, r"interval_ratio=1\.0: give a number above 1, or None"),
+        (
+            {"interval_ratio": 2.0, "longest_interval": 0.9},
+            r"longest_interval=0\.9: give a number of mean intervals above 1",
+        ),
+        (
+            {"interval_ratio": 2.0, "hold": FIRST_ORDER},
+            r"interval_ratio=2\.0: needs hold=ZeroOrderHold\(\), not FirstOrderHold",
+        ),
+        (
+            {"interval_ratio": 2.0, "quadrature": Quadrature.TRAPEZOID},
+            r"interval_ratio=2\.0: needs quadrature=Quadrature\.FLOW",
+        ),
     ],
 )
 def test_bad_settings(settings, message):

@@ -377,6 +377,20 @@ def test_nodes_of_the_guess():
     assert_allclose(mission.guess(fractions).fractions, fractions)
 
 
+def test_a_free_grid_starts_with_more_nodes_outside_the_wait():
+    mission = missions.get("free-space-30MB")
+    steps = np.diff(missions.guesses(mission, 100, grid="free")[0].times)
+    assert (steps < 2.0).sum() >= 18
+    assert_allclose(
+        missions.guesses(mission, 100)[0].fractions, mission.guess(100).fractions
+    )
+    own = missions.replace(mission, "plan.transit_share", 0.7)
+    free = missions.guesses(own, 100, grid="free")[0]
+    assert_allclose(free.fractions, own.guess(100).fractions)
+    with pytest.raises(ValueError, match=r"grid='even': choose 'uniform' or 'free'\."):
+        missions.solve(mission, grid="even")
+
+
 def test_guess_with_too_little_to_send_for_a_wait():
     mission = missions.replace(missions.get("free-space-30MB"), "data_required", 10.0)
     guess = mission.guess()

@@ -31,7 +31,9 @@ every_hold = pytest.mark.parametrize(
 FRACTIONS = np.array([0.0, 0.2, 0.45, 0.7, 1.0])
 FINAL_TIME, PARTS = 8.0, 2
 # Shares of an interval: no peak is looked for next to its nodes.
-ENDS = (0.05, 0.95)
+ENDS = (0.02, 0.98)
+# How high a throw is that turns 2 / 3 s later, at an interval's last look.
+BESIDE = 2.0 - 0.5 * (2 / 3 + 4 / 3 * ENDS[0]) ** 2
 
 
 def swing(t, x, u, xp=jnp):
@@ -153,10 +155,10 @@ def flown(trajectory, lower, upper, between, substeps) -> np.ndarray:
     ("nodes", "heights"),
     [
         (2, [2.0]),
-        # Next to a node the last twentieth, here of 2 s, is left out.
-        (3, [2.0 - 0.5 * 0.1**2] * 2),
+        # Next to a node the last fiftieth, here of 2 s, is left out.
+        (3, [2.0 - 0.5 * (2 * ENDS[0]) ** 2] * 2),
         # Of three intervals, 4 / 3 s each, the top is within the second.
-        (4, [2.0 - 0.5 * (0.7 + 0.1 / 3) ** 2, 2.0, 2.0 - 0.5 * (0.7 + 0.1 / 3) ** 2]),
+        (4, [BESIDE, 2.0, BESIDE]),
     ],
 )
 def test_a_throw_is_highest_at_its_top(nodes, heights):

@@ -6,6 +6,7 @@ from typing import Any, NoReturn
 
 METHODS = ("proximal", "paper")
 PLACES = ("nodes", "between")
+GRIDS = ("uniform", "free")
 
 
 class InputError(Exception):
@@ -61,6 +62,13 @@ def _add_solve(commands: Any) -> None:
         default=100,
         metavar="N",
         help="nodes of the time grid (default: %(default)s)",
+    )
+    solve.add_argument(
+        "--grid",
+        choices=GRIDS,
+        default=GRIDS[0],
+        help="how they are spaced: evenly, or freely, each interval near the durations "
+        "of its neighbours (default: %(default)s)",
     )
     solve.add_argument(
         "--method",

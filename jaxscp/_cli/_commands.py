@@ -59,7 +59,8 @@ def solve(arguments: argparse.Namespace) -> int:
         mission = catalogue.replace_many(
             catalogue.get(arguments.mission), dict(arguments.changes)
         )
-        problem, guesses = mission.problem(), mission.guesses(nodes=arguments.nodes)
+        problem = mission.problem()
+        guesses = catalogue.guesses(mission, arguments.nodes, grid=arguments.grid)
         # `solve` would say the same. Asked here, what it raises later is a fault of the
         # program, and shows as one.
         check_problem(problem)
@@ -93,6 +94,7 @@ def _timed_solve(
             mission,
             method,
             enforce=arguments.enforce,
+            grid=arguments.grid,
             nodes=arguments.nodes,
             progress=progress,
             throw=False,
