@@ -7,6 +7,8 @@ primal-dual active set method. Hintermueller, Ito, Kunisch, SIAM Journal on Opti
 13 (2002).
 """
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -42,10 +44,9 @@ def active_set_step(
 
     def sides(solution: SubproblemSolution, step: Variables) -> PerLimit:
         multipliers = PerLimit.multipliers(solution)
-        rooms = _rooms(model, limits, step)
-        return jax.tree.map(
-            lambda *of_limit: _side(*of_limit, precision), multipliers, *rooms
-        )
+        below, above = _rooms(model, limits, step)
+        side = functools.partial(_side, precision=precision)
+        return jax.tree.map(side, multipliers, below, above)
 
     def wrong(attempt):
         _, solution, count = attempt

@@ -48,6 +48,7 @@ class SubproblemSolver:
         self._places = np.abs(shift[self._varying]).astype(int) - 1
         self._precision = int(numbered.prices.precision) - 1
         self._relax = int(numbered.prices.relax) - 1
+        self._virtual = numbered.prices.virtual_control.ravel().astype(int) - 1
         # Threads may solve problems of the same structure.
         self._lock = threading.Lock()
 
@@ -57,9 +58,17 @@ class SubproblemSolver:
             solution = self._workspace.solve(self.assemble(flat), flat[self._precision])
         return solution, np.array([1.0, solution.iterations, solution.seconds])
 
-    def may_relax(self, flat: np.ndarray) -> bool:
-        """Whether the relaxed structure may be solved where this one fails."""
-        return bool(flat[self._relax] > 0)
+    def would_relax(self, flat: np.ndarray, solution: QPSolution) -> bool:
+        """Whether the relaxed structure has another solution, and may be solved.
+
+        It does where the dynamics cannot be met within the limits, and where that costs
+        more than virtual control.
+        """
+        if self._relaxed or not flat[self._relax] > 0:
+            return False
+        nodes, n = self.layout.states.shape
+        costates = np.abs(solution.y[: (nodes - 1) * n])
+        return not solution.solved or bool((costates > flat[self._virtual]).any())
 
     def assemble(self, flat: np.ndarray) -> QP:
         """The QP whose solution is the best step; the same object every time."""

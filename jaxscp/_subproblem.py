@@ -138,7 +138,8 @@ def solve_subproblem(
     """The best step of a damped model; may be called under `jax.jit`.
 
     Where the structure is not relaxed and the dynamics cannot be met within the limits,
-    the relaxed one is solved instead, if the prices allow it.
+    or only at more than the price of virtual control, the relaxed one is solved instead,
+    if the prices allow it.
     """
     data = SubproblemData.of(model, damping, prices, limits)
     answer, unravel = ravel_pytree(SubproblemSolution.none(structure))
@@ -159,7 +160,7 @@ def _on_host(
     numbers = np.asarray(flat)
     solver = subproblem_solver(structure, settings, outline)
     answer, effort = solver(numbers)
-    if answer.solved or structure.relaxed or not solver.may_relax(numbers):
+    if not solver.would_relax(numbers, answer):
         return solver.read(answer, effort)
     with_virtual = dataclasses.replace(structure, relaxed=True)
     relaxed = subproblem_solver(with_virtual, settings, outline)
