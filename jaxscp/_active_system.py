@@ -7,6 +7,8 @@ leave a gap, by multipliers that grow with it: the augmented Lagrangian. The rec
 serve for all the passes that refine the step.
 """
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -97,8 +99,14 @@ class ActiveSystem(eqx.Module):
             jnp.zeros_like(targets.controls),
             jnp.zeros_like(targets.final_time),
         )
-        pull = Damping(
-            pulled, weight.path, weight.between, weight.integral, targets, totals
+        blank = Damping.of(model.residuals, pulled)
+        pull = dataclasses.replace(
+            blank,
+            path=weight.path,
+            between=weight.between,
+            integral=weight.integral,
+            centre=targets,
+            target=totals,
         )
         return cls(model, damping, sides, told, pull)
 

@@ -25,6 +25,10 @@ def subproblem_solver(
     return SubproblemSolver(structure, settings, outline)
 
 
+# Costates this many times the price of virtual control take it.
+_DEAR = 10.0
+
+
 class SubproblemSolver:
     """Assembles the QPs of one structure, solves them and reads their solutions."""
 
@@ -62,13 +66,14 @@ class SubproblemSolver:
         """Whether the relaxed structure has another solution, and may be solved.
 
         It does where the dynamics cannot be met within the limits, and where that costs
-        more than virtual control.
+        more than virtual control: by far more, as violations that the price of a path
+        constraint or an integral pays for make costates of its size.
         """
         if self._relaxed or not flat[self._relax] > 0:
             return False
         nodes, n = self.layout.states.shape
         costates = np.abs(solution.y[: (nodes - 1) * n])
-        return not solution.solved or bool((costates > flat[self._virtual]).any())
+        return not solution.solved or bool((costates > _DEAR * flat[self._virtual]).any())
 
     def assemble(self, flat: np.ndarray) -> QP:
         """The QP whose solution is the best step; the same object every time."""

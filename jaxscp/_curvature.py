@@ -96,10 +96,6 @@ class Curvature(eqx.Module):
             _sum(self.tail, other.tail),
         )
 
-    def with_blocks(self, more: Float[Array, "N w w"]) -> "Curvature":
-        """With blocks added at the nodes."""
-        return eqx.tree_at(lambda c: c.blocks, self, self.blocks + more)
-
     def scaled(self, sizes: Float[Array, " w"], time: Scalar) -> "Curvature":
         """By variables that are divided by their sizes."""
         m = 0 if self.ahead is None else self.ahead.shape[2]

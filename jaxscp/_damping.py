@@ -14,6 +14,7 @@ class Damping(eqx.Module):
     """Half squares that a subproblem minimizes beside the model's cost, weighted.
 
     - `step`: weights of the scaled step, counted from `centre`: the soft trust region.
+        `measure`: the same by blocks of each node's (x, u), zero where it has no u.
     - `path`, `between`, `integral`: of the linearized constraints, the integrals counted
         from `target`. The Lagrangian need only be convex along the active constraints:
         holding the step to them costs nothing once it is right which ones are active.
@@ -25,11 +26,14 @@ class Damping(eqx.Module):
     integral: Float[Array, " q"]
     centre: Variables
     target: Float[Array, " q"]
+    measure: Float[Array, "N w w"]
 
     @classmethod
     def of(cls, residuals: Residuals, step: Variables) -> "Damping":
         """Of the step alone, counted from no step."""
         none = jnp.zeros_like(residuals.totals)
+        nodes, n = step.states.shape
+        size = n + step.controls.shape[1]
         return cls(
             step,
             path=jnp.zeros_like(residuals.path),
@@ -37,23 +41,22 @@ class Damping(eqx.Module):
             integral=none,
             centre=jax.tree.map(jnp.zeros_like, step),
             target=none,
+            measure=jnp.zeros((nodes, size, size)),
         )
 
     def value(self, model: Model, step: Variables) -> Array:
         """What a step costs, but for the integrals."""
         after = model.linear(step)
-        squares = jax.tree.map(
-            lambda weight, at, centre: jnp.sum(weight * (at - centre) ** 2),
-            self.step,
-            step,
-            self.centre,
-        )
+        way = jax.tree.map(jnp.subtract, step, self.centre)
+        squares = jax.tree.map(lambda w, way: jnp.sum(w * way**2), self.step, way)
+        z = jnp.concatenate([way.states, self._at_nodes(way.controls)], axis=1)
         # Peaks of what has no limit are infinitely low.
         peaks = jnp.where(self.between > 0.0, after.between, 0.0)
         return 0.5 * (
             squares.states
             + squares.controls
             + squares.final_time
+            + jnp.einsum("ki,kij,kj->", z, self.measure, z)
             + jnp.sum(self.path * after.path**2)
             + jnp.sum(self.between * peaks**2)
         )
@@ -67,11 +70,12 @@ class Damping(eqx.Module):
         """Second derivatives of `value`."""
         nodes, n = self.step.states.shape
         free, jacobian = self.step.controls.shape[0], model.derivatives.intervals.between
-        controls = jnp.pad(self.step.controls, ((0, nodes - free), (0, 0)))
+        controls = self._at_nodes(self.step.controls)
         weights = [self.step.states, controls, jnp.zeros((nodes, 1))]
         at = model.derivatives.nodes
         slopes = [at.path_state, at.path_control, at.path_time[:, :, None]]
         at_nodes = jax.vmap(jnp.diag)(jnp.concatenate(weights, axis=1))
+        at_nodes = at_nodes.at[:, :-1, :-1].add(self.measure)
         at_nodes += _squares(slopes, self.path)
         rows = [jacobian.left_state, jacobian.left_control, jacobian.time[:, :, None]]
         if jacobian.right_control is not None:
@@ -80,6 +84,11 @@ class Damping(eqx.Module):
         whole = Curvature.assembled(at_nodes, peaks, n, borrows=free < nodes)
         corner = whole.corner + self.step.final_time
         return eqx.tree_at(lambda c: c.corner, whole, corner)
+
+    def _at_nodes(self, controls: Float[Array, "M m"]) -> Float[Array, "N m"]:
+        """With zeros where a node has no control of its own."""
+        missing = self.step.states.shape[0] - controls.shape[0]
+        return jnp.pad(controls, ((0, missing), (0, 0)))
 
 
 def _squares(rows: list[Array], weights: Float[Array, "K b"]) -> Float[Array, "K s s"]:

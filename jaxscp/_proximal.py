@@ -198,12 +198,7 @@ class ProximalSCP(AbstractSCP):
     def _curvatures(
         self, transcription: Transcription, state: SCPState
     ) -> tuple[Curvature, Curvature]:
-        """A convex curvature, and one with all of the Lagrangian's.
-
-        Where the Lagrangian curves along the dynamics no convex model is right, but how
-        strongly it does tells how far a model without it can be trusted: that much
-        curvature, of whatever sign, is added in the trust region's measure.
-        """
+        """A convex curvature, and one with all of the Lagrangian's."""
         iterate, multipliers = state.iterate, state.solution.multipliers
         point = (transcription, state.scaling, iterate.variables)
         share = 0.0 if self.curvature == "cost" else 1.0
@@ -220,17 +215,25 @@ class ProximalSCP(AbstractSCP):
                 steps = jnp.maximum((steps + 1) // 2, settings.least_substeps)
             return exact_curvature(*point, steps, multipliers)
 
-        exact = jax.lax.cond(self._is_sound(state), with_dynamics, lambda: convex)
-        doubt = magnitude(exact.blocks - convex.blocks) / state.radius
-        doubt = jnp.where(state.near, 0.0, doubt)
-        return convex.with_blocks(doubt), exact.with_blocks(doubt)
+        sound = self._is_sound(state)
+        return convex, jax.lax.cond(sound, with_dynamics, lambda: convex)
 
     def _damping(
-        self, transcription: Transcription, state: SCPState, model: Model
+        self,
+        transcription: Transcription,
+        state: SCPState,
+        model: Model,
+        curvatures: tuple[Curvature, Curvature],
     ) -> Damping:
         """The proximal term and, where the model is not convex, the hold of what is
-        active."""
-        last, near = state.solution, state.near
+        active.
+
+        Where the Lagrangian curves along the dynamics no convex model is right, but how
+        strongly it does tells how far one can be trusted: that much curvature, of
+        whatever sign, is part of the trust region's measure.
+        """
+        last, near, (convex, exact) = state.solution, state.near, curvatures
+        doubt = magnitude(exact.blocks - convex.blocks) / state.radius
         weight = 1.0 / self._trust(transcription, state)
         share = weight / transcription.nodes
 
@@ -255,6 +258,7 @@ class ProximalSCP(AbstractSCP):
             path=hold(last.multipliers.path),
             between=hold(last.multipliers.between),
             integral=hold(last.multipliers.integral),
+            measure=jnp.where(near, 0.0, doubt),
             target=jnp.where(jnp.isfinite(active), active, 0.0),
         )
 
@@ -272,7 +276,7 @@ class ProximalSCP(AbstractSCP):
         convex, exact = (Model(around, derivatives, each) for each in curvatures)
         # Next to a solution that of a QP, held to the active constraints, is exact, too.
         convex = tree_where(state.near, exact, convex)
-        damping = self._damping(transcription, state, convex)
+        damping = self._damping(transcription, state, convex, curvatures)
         prices = Prices(
             virtual_control=jnp.full_like(around.defects, ceiling),
             path=jnp.full_like(around.path, ceiling),

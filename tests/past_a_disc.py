@@ -238,7 +238,11 @@ def held_damping_of(model: Model, seed=0) -> Damping:
     draw, blank = np.random.default_rng(seed), damping_of(model)
     weights = (blank.step, blank.path, blank.between, blank.integral)
     centres = drawn(draw.normal, (blank.centre, blank.target))
-    return Damping(*drawn(draw.exponential, weights), *centres)
+    roots = draw.normal(size=blank.measure.shape)
+    # The last node may have no control of its own.
+    roots[len(blank.step.controls) :, blank.step.states.shape[1] :] = 0.0
+    measure = jnp.asarray(roots @ roots.swapaxes(1, 2))
+    return Damping(*drawn(draw.exponential, weights), *centres, measure)
 
 
 to_the_host = quick_jit(SubproblemData.of)
@@ -301,7 +305,16 @@ def dense(model: Model) -> Dense:
 def damped(told: Dense, damping: Damping) -> Dense:
     """The model with what its step is damped by, from the squares written out."""
     weights, centre = flat(damping.step), flat(damping.centre)
-    H, g = told.H + np.diag(weights), told.g - weights * centre
+    squares = np.diag(weights)
+    nodes, n = damping.step.states.shape
+    free, m = damping.step.controls.shape
+    for node, block in enumerate(np.asarray(damping.measure)):
+        own = np.arange(node * n, (node + 1) * n)
+        if node < free:
+            first = nodes * n + node * m
+            own = np.append(own, np.arange(first, first + m))
+        squares[np.ix_(own, own)] += block[: own.size, : own.size]
+    H, g = told.H + squares, told.g - squares @ centre
     for (rows, known), weight, target in (
         (told.path, damping.path, 0.0),
         (told.between, damping.between, 0.0),

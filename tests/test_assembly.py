@@ -131,13 +131,28 @@ def test_the_limits_of_every_column(name, options):
     assert np.all(np.isposinf(qp.upper[[*virtual, *earlier]]))
 
 
+@pytest.mark.parametrize(("price", "relaxed"), [(1e-3, True), (1e6, False)])
+def test_virtual_control_is_taken_where_the_dynamics_cost_far_more(price, relaxed):
+    structure = structure_of()
+    model, damping, prices, limits = random_data(structure, "zero-order")
+    virtual = jnp.full_like(prices.virtual_control, price)
+    prices = dataclasses.replace(prices, virtual_control=virtual, relax=jnp.ones(()))
+    arguments = (PIQP(), model, damping, prices, limits)
+    solution = quick_jit(solve_subproblem)(structure, *arguments)
+    assert bool(solution.effort.solved)
+    assert bool(solution.effort.relaxed) is relaxed
+    broken = predict(model, solution.step).defects
+    assert (float(jnp.max(jnp.abs(broken))) > 1e-3) is relaxed
+
+
 def test_a_pattern_is_set_up_once(monkeypatch):
     structure, solve = structure_of(), quick_jit(solve_subproblem)
 
     def data(seed, proximal):
-        return random_data(
+        model, damping, prices, limits = random_data(
             structure, "zero-order", seed, lambda model: damping_of(model, proximal)
         )
+        return model, damping, dataclasses.replace(prices, relax=jnp.zeros(())), limits
 
     several = [data(0, 2.0), data(0, 7.0), data(1, 2.0)]
     fresh = [solve(structure, PIQP(), *each) for each in several]

@@ -103,7 +103,8 @@ def test_json_holds_the_contract(solved):
     assert (attempt["verified"], attempt["chosen"]) == (True, True)
     assert 0.0 <= report["position_error"] < 0.1
     assert 0.0 <= report["defect_max"] < 1e-3
-    assert report["subproblems"] >= report["iterations"] >= 1
+    assert report["iterations"] >= 1
+    assert report["subproblems"] >= 1
     assert set(report["seconds"]) == {"import", "compile", "solve"}
     assert all(spent > 0 for spent in report["seconds"].values())
     assert {"jaxscp", "jax", "piqp"} <= set(report["versions"])

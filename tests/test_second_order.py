@@ -343,12 +343,12 @@ def test_conditions_see_what_is_wrong():
         2.0 * 6.0 / float(scaling.control[0])
     )
     # The first interval comes nearest to the upper limit of the velocity where its last
-    # twentieth, which is not looked at, begins: 3 * 0.95 is 6.15 from it.
+    # fiftieth, which is not looked at, begins: 3 * 0.98 is 6.06 from it.
     pushes = jnp.zeros((2, 4)).at[0, 3].set(2.0)
     pushed = eqx.tree_at(lambda s: s.multipliers.between, nothing, pushes)
     gap = gap_of(transcription, scaling, iterate, pushed)
     assert float(gap.complementarity) == pytest.approx(
-        2.0 * (6.15 / float(scaling.state[1]) + PEAK_TOLERANCE)
+        2.0 * (6.06 / float(scaling.state[1]) + PEAK_TOLERANCE)
     )
 
 

@@ -343,9 +343,10 @@ def test_a_step_into_a_singularity_is_not_taken():
     count = int(solution.statistics.iterations)
     # Until the proximal term is heavier than the QP solver resolves.
     assert count > 15
-    assert np.isnan(solution.history.defect[:15]).all()
-    assert np.isneginf(solution.history.ratio[:count]).all()
-    assert not np.any(solution.history.accepted[:count])
+    # Later on, shorter steps, with virtual control, stay where all is a number.
+    assert np.isnan(solution.history.defect[:3]).all()
+    assert np.isneginf(solution.history.ratio[:3]).all()
+    assert not np.any(solution.history.accepted[:count] == 1)
     assert np.isfinite(solution.trajectory.states).all()
 
 
