@@ -17,7 +17,7 @@ import numpy as np
 import jaxscp
 from jaxscp import missions
 
-from .report import write_report
+from .report import HEADINGS, cells, facts_of, write_report
 from .timing import timed_solve
 
 MISSIONS = ("free-flight", "free-space-30MB-60dB")
@@ -33,27 +33,19 @@ def measure(name: str, nodes: int, repeats: int) -> dict:
     begun = time.process_time()
     solution = jax.block_until_ready(jaxscp.solve(problem, guess, throw=False))
     cpu = time.process_time() - begun
-    statistic = solution.statistics
-    iterations, polish = int(statistic.iterations), int(statistic.polish_iterations)
+    statistic, facts = solution.statistics, facts_of(solution)
     return {
         "mission": name,
         "nodes": nodes,
-        "status": solution.message,
-        "converged": bool(solution.converged),
-        "polished": bool(solution.polished),
+        **facts,
         "verified": jaxscp.verify(problem, solution).verified,
-        "objective": float(solution.objective),
-        "optimality": float(solution.optimality),
-        "iterations": iterations,
-        "polish_iterations": polish,
-        "subproblems": int(statistic.subproblems),
         "qp_iterations": int(statistic.qp_iterations),
         "substeps": int(statistic.substeps),
         "cold_seconds": cold,
         "warm_seconds": warm,
         "cpu_seconds": cpu,
         "piqp_seconds": float(statistic.qp_seconds),
-        "seconds_per_iteration": cpu / (iterations + polish),
+        "seconds_per_iteration": cpu / (facts["iterations"] + facts["polish_iterations"]),
     }
 
 
@@ -91,9 +83,8 @@ def figure(by_mission: dict[str, list[dict]], path: Path) -> None:
 def line(row: dict) -> str:
     """A row of the table, in Markdown."""
     return (
-        f"| {row['mission']} | {row['nodes']} | {row['objective']:,.2f}"
-        f" | {row['iterations']} + {row['polish_iterations']} | {row['subproblems']}"
-        f" | {row['optimality']:.0e} | {row['warm_seconds']:.2f}"
+        f"| {row['mission']} | {row['nodes']} | {cells(row)}"
+        f" | {row['warm_seconds']:.2f}"
         f" | {row['cpu_seconds']:.2f}"
         f" | {1e3 * row['seconds_per_iteration']:.1f}"
         f" | {'yes' if row['polished'] else 'roughly' if row['converged'] else 'no'}"
@@ -111,7 +102,7 @@ def main() -> None:
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     print(
-        "| mission | N | objective | iterations + polish | QPs | residual | s | CPU s"
+        f"| mission | N | {HEADINGS} | s | CPU s"
         " | CPU ms an iteration | converged | verified |"
     )
     print("|---|---|---|---|---|---|---|---|---|---|---|")

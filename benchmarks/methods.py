@@ -11,6 +11,7 @@ import jax
 import jaxscp
 from jaxscp import missions
 
+from .report import HEADINGS, cells, facts_of
 from .timing import timed_solve
 
 VARIANTS = {
@@ -29,14 +30,8 @@ def measure(mission: str, method: jaxscp.AbstractSCP, nodes: int, repeats: int) 
     chosen = missions.get(mission)
     problem, guess = chosen.problem(), chosen.guess(nodes)
     solution, _, warm = timed_solve(problem, guess, repeats, method)
-    statistic = solution.statistics
     converged = "yes" if bool(solution.converged) else "no"
-    return (
-        f" {float(solution.objective):,.2f} | {int(statistic.iterations)}"
-        f" + {int(statistic.polish_iterations)} | {int(statistic.subproblems)}"
-        f" | {float(solution.optimality):.0e} | {warm:.2f}"
-        f" | {converged} |"
-    )
+    return f" {cells(facts_of(solution))} | {warm:.2f} | {converged} |"
 
 
 def main() -> None:
@@ -46,10 +41,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    print(
-        "| mission | method | objective | iterations + polish | QPs | residual | s "
-        "| converged |"
-    )
+    print(f"| mission | method | {HEADINGS} | s | converged |")
     print("|---|---|---|---|---|---|---|---|")
     for mission in arguments.missions:
         for name, method in VARIANTS.items():

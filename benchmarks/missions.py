@@ -12,7 +12,7 @@ import jax
 import jaxscp
 from jaxscp import missions
 
-from .report import write_report
+from .report import facts_of, write_report
 from .timing import timed_solve
 
 # Objective [N^2 s] that IPOPT (tolerance 1e-8) reached on the same discrete problem:
@@ -30,24 +30,16 @@ def measure(name: str, nodes: int, repeats: int) -> dict:
     mission = missions.get(name)
     problem, guess = mission.problem(), mission.guess(nodes)
     solution, cold, warm = timed_solve(problem, guess, repeats)
-    statistic = solution.statistics
-    best = BEST_KNOWN.get(name)
-    objective = float(solution.objective)
+    facts, best = facts_of(solution), BEST_KNOWN.get(name)
     return {
         "mission": name,
-        "converged": bool(solution.converged),
+        **facts,
         "verified": jaxscp.verify(problem, solution).verified,
-        "objective": objective,
-        "above_best_known": None if best is None else objective / best - 1,
+        "above_best_known": None if best is None else facts["objective"] / best - 1,
         "final_time": float(solution.trajectory.final_time),
-        "polished": bool(solution.polished),
-        "optimality": float(solution.optimality),
-        "iterations": int(statistic.iterations),
-        "polish_iterations": int(statistic.polish_iterations),
-        "subproblems": int(statistic.subproblems),
         "cold_seconds": cold,
         "warm_seconds": warm,
-        "piqp_seconds": float(statistic.qp_seconds),
+        "piqp_seconds": float(solution.statistics.qp_seconds),
     }
 
 

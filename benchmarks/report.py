@@ -6,7 +6,36 @@ import platform
 from importlib.metadata import version
 from pathlib import Path
 
+import jaxscp
+
 PACKAGES = ("jax", "jaxlib", "piqp", "numpy", "equinox")
+
+# Of the cells of a Markdown table that every solve fills.
+HEADINGS = "objective | iterations + polish | QPs | residual"
+
+
+def facts_of(solution: jaxscp.Solution) -> dict:
+    """How a solve ended and how many steps it took."""
+    statistics = solution.statistics
+    return {
+        "status": solution.message,
+        "converged": bool(solution.converged),
+        "polished": bool(solution.polished),
+        "objective": float(solution.objective),
+        "optimality": float(solution.optimality),
+        "iterations": int(statistics.iterations),
+        "polish_iterations": int(statistics.polish_iterations),
+        "subproblems": int(statistics.subproblems),
+    }
+
+
+def cells(facts: dict) -> str:
+    """What stands below `HEADINGS`."""
+    return (
+        f"{facts['objective']:,.2f}"
+        f" | {facts['iterations']} + {facts['polish_iterations']}"
+        f" | {facts['subproblems']} | {facts['optimality']:.0e}"
+    )
 
 
 def write_report(path: Path, **numbers) -> None:
