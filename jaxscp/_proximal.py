@@ -170,16 +170,18 @@ class ProximalSCP(AbstractSCP):
 
         Not with the multipliers of a step that was refused.
         """
-        own = state.near | (state.history.accepted[state.records - 1] > 0.0)
+        own = state.near | (state.last_accepted == 1.0)
         return self._is_sound(state) & own & (state.optimality < self.close)
 
     def _iterate(self, transcription: Transcription, state: SCPState) -> SCPState:
         curvatures = self._curvatures(transcription, state)
+        damping = self._damping(transcription, state, curvatures)
+        parts = (curvatures, damping)
         poor = jnp.asarray(self.correction_ratio if self.correction else -jnp.inf)
         found, judgement = search(
             transcription,
             state,
-            solve=lambda around: self._solve(transcription, state, around, curvatures),
+            solve=lambda around: self._solve(transcription, state, around, *parts),
             follow=lambda to: following(state.weights, to, state.ceiling),
             accept_ratio=self.accept_ratio,
             # Of a polishing step what counts is whether it stays feasible.
@@ -222,7 +224,6 @@ class ProximalSCP(AbstractSCP):
         self,
         transcription: Transcription,
         state: SCPState,
-        model: Model,
         curvatures: tuple[Curvature, Curvature],
     ) -> Damping:
         """The proximal term and, where the model is not convex, the hold of what is
@@ -233,7 +234,6 @@ class ProximalSCP(AbstractSCP):
         whatever sign, is part of the trust region's measure.
         """
         last, near, (convex, exact) = state.solution, state.near, curvatures
-        doubt = magnitude(exact.blocks - convex.blocks) / state.radius
         weight = 1.0 / self._trust(transcription, state)
         share = weight / transcription.nodes
 
@@ -253,12 +253,18 @@ class ProximalSCP(AbstractSCP):
         )
         lower, upper = integral_limits(transcription, state.scaling)
         active = jnp.where(last.multipliers.integral > 0.0, upper, lower)
+        plain = Damping.of(state.iterate.residuals, step)
+        doubt = jax.lax.cond(
+            self._is_sound(state) & ~near,
+            lambda: magnitude(exact.blocks - convex.blocks) / state.radius,
+            lambda: plain.measure,
+        )
         return dataclasses.replace(
-            Damping.of(model.residuals, step),
+            plain,
             path=hold(last.multipliers.path),
             between=hold(last.multipliers.between),
             integral=hold(last.multipliers.integral),
-            measure=jnp.where(near, 0.0, doubt),
+            measure=doubt,
             target=jnp.where(jnp.isfinite(active), active, 0.0),
         )
 
@@ -268,6 +274,7 @@ class ProximalSCP(AbstractSCP):
         state: SCPState,
         around: Residuals,
         curvatures: tuple[Curvature, Curvature],
+        damping: Damping,
     ) -> tuple[SubproblemSolution, Model]:
         """The step of the model with all of the curvature where that has a minimum along
         the constraints that were active, of the convex one elsewhere."""
@@ -276,7 +283,6 @@ class ProximalSCP(AbstractSCP):
         convex, exact = (Model(around, derivatives, each) for each in curvatures)
         # Next to a solution that of a QP, held to the active constraints, is exact, too.
         convex = tree_where(state.near, exact, convex)
-        damping = self._damping(transcription, state, convex, curvatures)
         prices = Prices(
             virtual_control=jnp.full_like(around.defects, ceiling),
             path=jnp.full_like(around.path, ceiling),
@@ -358,7 +364,7 @@ class ProximalSCP(AbstractSCP):
         # A model that is right so far is right farther out.
         change = jnp.where(jnp.abs(ratio - 1.0) < 0.15, 2.0 * factor, change)
         # What was too far a moment ago still is.
-        last = state.history.accepted[jnp.maximum(state.records - 1, 0)]
-        change = jnp.where(last == 0.0, jnp.minimum(change, 1.0), change)
+        refused = state.last_accepted == 0.0
+        change = jnp.where(refused, jnp.minimum(change, 1.0), change)
         polishing = jnp.where(judgement.accepted, 1.0, 1.0 / factor**2)
         return state.radius * jnp.where(state.near, polishing, change)

@@ -96,6 +96,11 @@ class SCPState(eqx.Module):
     near: Array
     finite: Array
 
+    @property
+    def last_accepted(self) -> Scalar:
+        """Of the latest record: 1 if its step was taken, else 0; NaN before the first."""
+        return self.history.accepted[self.records - 1]
+
 
 class Trial(eqx.Module):
     """A step tried: where it leads, the scaled residuals and the penalized cost there.

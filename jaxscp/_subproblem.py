@@ -138,8 +138,8 @@ def solve_subproblem(
     """The best step of a damped model; may be called under `jax.jit`.
 
     Where the structure is not relaxed and the dynamics cannot be met within the limits,
-    or only at more than the price of virtual control, the relaxed one is solved instead,
-    if the prices allow it.
+    or only at far more than the price of virtual control, the relaxed one is solved
+    instead, if the prices allow it.
     """
     data = SubproblemData.of(model, damping, prices, limits)
     answer, unravel = ravel_pytree(SubproblemSolution.none(structure))
