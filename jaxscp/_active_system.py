@@ -146,27 +146,26 @@ class ActiveSystem(eqx.Module):
         """What is left of every condition."""
         step = done.step
         slope = jax.grad(self._lagrangian)(step, done.costates, done.pushes)
-        tug = jax.grad(lambda step: self.pull.value(self.model, step))(step)
+        tug = jax.grad(lambda step: self.pull.cost(self.model, step))(step)
         squares = self.damping.curvature(self.model).plus(self.pull.curvature(self.model))
+        # The recursion's totals are those of the change: what the step gains already
+        # is part of the slope. Told again in every pass it would be rounded again.
+        after = self.model.linear(step)
+        still = jnp.zeros_like(after.increments)
         program = arranged(
-            self.model.linear(step),
+            dataclasses.replace(after, increments=still),
             self.model.derivatives,
             self.model.curvature.plus(squares),
             jax.tree.map(jnp.add, slope, tug),
-            self._of_totals(done),
+            (self._per_total, jnp.zeros_like(self._per_total)),
         )
         to_go = jax.tree.map(jnp.subtract, self.pull.centre, step)
         return program, _forced(self.told, to_go, done.pushes.integral.size)
 
-    def _of_totals(self, done: _Pass) -> tuple[Array, Array]:
-        """Second and, at zero, first derivatives by the integrals' totals."""
-        second, first = (
-            own + pulled
-            for own, pulled in zip(
-                self.damping.of_totals, self.pull.of_totals, strict=True
-            )
-        )
-        return second, first + done.pushes.integral
+    @property
+    def _per_total(self) -> Float[Array, " q"]:
+        """Second derivatives by the integrals' totals."""
+        return self.damping.integral + self.pull.integral
 
     def _refined(self, done: _Pass, factors: Factors) -> _Pass:
         """One pass more: it starts from what the one before has left."""
@@ -181,8 +180,7 @@ class ActiveSystem(eqx.Module):
         more = -costates[:, :n]
         growth = self.model.derivatives.intervals.increments
         if growth.right_state is not None:
-            second, first = self._of_totals(done)
-            price = second * y[-1, -1 - q : -1] + first
+            price = self._per_total * y[-1, -1 - q : -1]
             more -= jnp.einsum("kqn,q->kn", growth.right_state[:, :q], price)
         step = jax.tree.map(jnp.add, done.step, change)
         gap = self._gap(step)
@@ -194,7 +192,7 @@ class ActiveSystem(eqx.Module):
     def _solution(self, done: _Pass) -> tuple[SubproblemSolution, Scalar]:
         """With the multipliers of what is forced, and what is left of the gradient."""
         pushes, told = done.pushes, self.told
-        slope = jax.grad(self._whole_lagrangian)(done.step, done.costates, pushes)
+        slope = jax.grad(self._lagrangian)(done.step, done.costates, pushes)
         # What is forced has whatever multiplier makes the gradient vanish.
         left = jax.tree.map(lambda slope, told: slope * (1.0 - told), slope, told)
         of_limits = jax.tree.map(
@@ -223,21 +221,14 @@ class ActiveSystem(eqx.Module):
     def _lagrangian(
         self, step: Variables, costates: Float[Array, "I n"], pushes: PerLimit
     ) -> Scalar:
-        """Without what the totals of the integrals add."""
         after = self.model.predict(step)
-        total = after.objective + self.damping.value(self.model, step)
+        total = after.objective + self.damping.cost(self.model, step)
         total += jnp.vdot(costates, after.defects)
         total += jnp.vdot(pushes.path, after.path)
         total += jnp.vdot(pushes.between, self._peaks(after))
+        # The model's own totals have curvature, which is the objective's already.
+        total += jnp.vdot(pushes.integral, self.model.linear(step).totals)
         return total + jnp.vdot(pushes.variables.states, step.states)
-
-    def _whole_lagrangian(
-        self, step: Variables, costates: Float[Array, "I n"], pushes: PerLimit
-    ) -> Scalar:
-        totals, damping = self.model.linear(step).totals, self.damping
-        squares = damping.integral * (totals - damping.target) ** 2
-        of_totals = 0.5 * jnp.sum(squares) + jnp.vdot(pushes.integral, totals)
-        return self._lagrangian(step, costates, pushes) + of_totals
 
     def _peaks(self, after: Residuals) -> Array:
         # Peaks of what has no limit are infinitely low.

@@ -44,22 +44,48 @@ class Damping(eqx.Module):
             measure=jnp.zeros((nodes, size, size)),
         )
 
-    def value(self, model: Model, step: Variables) -> Array:
-        """What a step costs, but for the integrals."""
-        after = model.linear(step)
+    def times(self, factor: Array) -> "Damping":
+        """With every weight multiplied."""
+        parts = (self.step, self.path, self.between, self.integral, self.measure)
+        scaled = jax.tree.map(lambda weight: factor * weight, parts)
+        step, path, between, integral, measure = scaled
+        return Damping(step, path, between, integral, self.centre, self.target, measure)
+
+    def plus(self, other: "Damping") -> "Damping":
+        """Both, the targets being this one's."""
+        mine, others = (
+            (d.step, d.path, d.between, d.integral, d.measure) for d in (self, other)
+        )
+        step, path, between, integral, measure = jax.tree.map(jnp.add, mine, others)
+        return Damping(step, path, between, integral, self.centre, self.target, measure)
+
+    def length(self, step: Variables) -> Array:
+        """Of a step, in the norm of the trust region."""
+        return jnp.sqrt(self._squared(step))
+
+    def _squared(self, step: Variables) -> Array:
         way = jax.tree.map(jnp.subtract, step, self.centre)
         squares = jax.tree.map(lambda w, way: jnp.sum(w * way**2), self.step, way)
         z = jnp.concatenate([way.states, self._at_nodes(way.controls)], axis=1)
+        blocks = jnp.einsum("ki,kij,kj->", z, self.measure, z)
+        return squares.states + squares.controls + squares.final_time + blocks
+
+    def value(self, model: Model, step: Variables) -> Array:
+        """What a step costs, but for the integrals."""
+        after = model.linear(step)
         # Peaks of what has no limit are infinitely low.
         peaks = jnp.where(self.between > 0.0, after.between, 0.0)
         return 0.5 * (
-            squares.states
-            + squares.controls
-            + squares.final_time
-            + jnp.einsum("ki,kij,kj->", z, self.measure, z)
+            self._squared(step)
             + jnp.sum(self.path * after.path**2)
             + jnp.sum(self.between * peaks**2)
         )
+
+    def cost(self, model: Model, step: Variables) -> Array:
+        """What a step costs."""
+        totals = model.linear(step).totals
+        squares = self.integral * (totals - self.target) ** 2
+        return self.value(model, step) + 0.5 * jnp.sum(squares)
 
     @property
     def of_totals(self) -> tuple[Float[Array, " q"], Float[Array, " q"]]:

@@ -112,9 +112,13 @@ def _inverse(matrix: Float[Array, "a a"], told: Float[Array, " a"]):
     free = 1.0 - told
     kept = matrix * jnp.outer(free, free)
     # What is forced must not pass for a lack of convexity.
-    values, vectors = jnp.linalg.eigh(kept + jnp.diag(told * (1.0 + jnp.trace(kept))))
+    kept += jnp.diag(told)
+    # Controls may act more than a thousand times stronger than others.
+    size = jnp.abs(jnp.diagonal(kept))
+    unit = jnp.where(size > 0.0, 1.0 / jnp.sqrt(jnp.where(size > 0.0, size, 1.0)), 1.0)
+    values, vectors = jnp.linalg.eigh(kept * jnp.outer(unit, unit))
     inverse = (vectors / values[None]) @ vectors.T
-    return inverse * jnp.outer(free, free), jnp.min(values)
+    return inverse * jnp.outer(unit * free, unit * free), jnp.min(values)
 
 
 def solve(
@@ -146,17 +150,19 @@ def solve(
     told = told * target
     inverse, _ = _inverse(factors.first, forced.first[0])
     begin = told - inverse @ (first + factors.first @ told)
-    moved = program.drift + jnp.einsum("kym,km->ky", program.by_control, rest)
 
     def onward(y, stage):
-        closed, moved = stage
-        y = closed @ y + moved
-        return y, y
+        by_state, by_control, drift, inverse, cross, rest = stage
+        decision = rest - inverse @ (cross @ y)
+        # Not by the closed loop's matrix: rounded, that breaks the dynamics a little,
+        # and the cost to come is steep in what breaks them.
+        after = by_state @ y + by_control @ decision + drift
+        return after, (after, decision)
 
-    _, after = jax.lax.scan(onward, begin, (factors.closed, moved))
+    stages = (program.by_state, program.by_control, program.drift)
+    stages += (factors.inverse, factors.cross, rest)
+    _, (after, decisions) = jax.lax.scan(onward, begin, stages)
     y = jnp.concatenate([begin[None], after])
-    gained = jnp.einsum("kmy,ky->km", factors.cross, y[:-1])
-    decisions = rest - jnp.einsum("kij,kj->ki", factors.inverse, gained)
     costates = ahead + jnp.einsum("kyz,kz->ky", factors.ahead, after)
     return y, decisions, costates
 
