@@ -7,6 +7,7 @@ primal-dual active set method. Hintermueller, Ito, Kunisch, SIAM Journal on Opti
 13 (2002).
 """
 
+import dataclasses
 import functools
 
 import equinox as eqx
@@ -19,54 +20,132 @@ from ._model import Model
 from ._subproblem import SubproblemSolution
 from ._subproblem_data import Limits
 from ._transcription import Variables
+from ._tree import tree_where
 from ._types import Array, Scalar
 
-_ATTEMPTS = 6
+# Active sets tried in all, and with one weight of the metric.
+_ATTEMPTS = 24
+_TRIES = 6
+# The next weight where one was too light, and how close to such a one the best may be.
+_HEAVIER = 4.0
+_CLOSE = 2.5
+# Of the length allowed.
+_OVERLONG = 1.2
+
+
+class NewtonStep(eqx.Module):
+    """What `active_set_step` found, if its solution says that it is solved.
+
+    - `weight`: of the metric, at least that asked for. `length`: of the step.
+    """
+
+    solution: SubproblemSolution
+    weight: Scalar
+    length: Scalar
+
+    @classmethod
+    def none(cls, like: SubproblemSolution, weight: Scalar) -> "NewtonStep":
+        """Not found."""
+        unsolved = jnp.zeros_like(like.effort.solved)
+        nothing = eqx.tree_at(lambda s: s.effort.solved, like, unsolved)
+        return cls(nothing, weight, jnp.zeros(()))
+
+    @property
+    def found(self) -> Array:
+        return self.solution.effort.solved
+
+
+class _Attempt(eqx.Module):
+    """How far the search for a weight and for the active constraints has come.
+
+    - `sides`: where each constraint rests. `too_light`: the largest weight refused.
+    - `count`: of all attempts. `tries`: of those at this weight.
+    """
+
+    sides: PerLimit
+    weight: Scalar
+    too_light: Scalar
+    best: NewtonStep
+    count: Array
+    tries: Array
 
 
 def active_set_step(
     model: Model,
-    damping: Damping,
+    metric: Damping,
     limits: Limits,
     last: SubproblemSolution,
     precision: Scalar,
-) -> SubproblemSolution:
+    *,
+    weight: Scalar,
+    longest: Scalar,
+    insist: Array,
+) -> NewtonStep:
     """The step of a subproblem, from the active constraints of the one before.
 
     **Arguments:**
 
+    - `metric`: of the trust region. `weight`: of the metric, to start from: heavier ones
+        are tried where the model is not convex along the active constraints, or where
+        the step is longer than `longest`.
     - `precision`: violations and multipliers of the wrong sign that do not matter: which
         of several limits that say nearly the same are active is then left open.
-
-    **Returns:** with `solved` false in its effort where no set of active constraints was
-    found, or where the damped model is not convex along them.
+    - `insist`: whether to try heavier weights, too, where the active constraints are not
+        found: for short enough steps they are those of the one before.
     """
-
-    def sides(solution: SubproblemSolution, step: Variables) -> PerLimit:
-        multipliers = PerLimit.multipliers(solution)
-        below, above = _rooms(model, limits, step)
-        side = functools.partial(_side, precision=precision)
-        return jax.tree.map(side, multipliers, below, above)
-
-    def wrong(attempt):
-        _, solution, count = attempt
-        return ~solution.effort.solved & (count < _ATTEMPTS)
-
-    def again(attempt):
-        tried, _, count = attempt
-        system = _with_active(model, damping, limits, tried)
-        solution, convex, gap = system.solved(PerLimit.multipliers(last), precision)
-        found = sides(solution, solution.step)
-        same = jax.tree.map(lambda a, b: jnp.all(a == b), found, tried)
-        right = convex & (gap <= precision) & jnp.all(jnp.stack(jax.tree.leaves(same)))
-        solution = eqx.tree_at(lambda s: s.effort.solved, solution, right)
-        # Where it is not convex, further attempts are as hopeless.
-        return found, solution, jnp.where(convex, count + 1, _ATTEMPTS)
-
     still = jax.tree.map(jnp.zeros_like, last.step)
-    nothing = eqx.tree_at(lambda s: s.effort.solved, last, jnp.array(False))
-    begun = (sides(last, still), nothing, jnp.zeros((), int))
-    return jax.lax.while_loop(wrong, again, begun)[1]
+    first = _sides(model, limits, last, still, precision)
+
+    def unfinished(at: _Attempt) -> Array:
+        rough = (at.too_light > 0.0) & (at.best.weight > _CLOSE * at.too_light)
+        return (at.count < _ATTEMPTS) & (~at.best.found | rough)
+
+    def again(at: _Attempt) -> _Attempt:
+        system = _with_active(model, metric.times(at.weight), limits, at.sides)
+        solution, convex, gap = system.solved(PerLimit.multipliers(last), precision)
+        length = metric.length(solution.step)
+        light = ~convex | (length > _OVERLONG * longest)
+        sides = _sides(model, limits, solution, solution.step, precision)
+        same = jax.tree.map(lambda a, b: jnp.all(a == b), sides, at.sides)
+        same = jnp.all(jnp.stack(jax.tree.leaves(same)))
+        right = ~light & (gap <= precision) & same
+        solution = eqx.tree_at(lambda s: s.effort.solved, solution, right)
+        this = NewtonStep(solution, at.weight, length)
+        lost = ~light & ~right & (at.tries + 1 >= _TRIES)
+        light |= lost & insist
+        best = tree_where(right, this, at.best)
+        too_light = jnp.where(light, at.weight, at.too_light)
+        between = jnp.sqrt(too_light * best.weight)
+        weight = jnp.where(best.found, between, _HEAVIER * at.weight)
+        another = light | right
+        return _Attempt(
+            tree_where(light, first, sides),
+            jnp.where(another, weight, at.weight),
+            too_light,
+            best,
+            jnp.where(lost & ~insist, _ATTEMPTS, at.count + 1),
+            jnp.where(another, 0, at.tries + 1),
+        )
+
+    none = jnp.zeros((), int)
+    nothing = NewtonStep.none(last, weight)
+    begun = _Attempt(first, weight, jnp.zeros(()), nothing, none, none)
+    done = jax.lax.while_loop(unfinished, again, begun)
+    reached = jnp.where(done.best.found, done.best.weight, done.weight)
+    return dataclasses.replace(done.best, weight=reached)
+
+
+def _sides(
+    model: Model,
+    limits: Limits,
+    solution: SubproblemSolution,
+    step: Variables,
+    precision: Scalar,
+) -> PerLimit:
+    """Where each constraint rests after a step, as its multipliers tell."""
+    multipliers = PerLimit.multipliers(solution)
+    side = functools.partial(_side, precision=precision)
+    return jax.tree.map(side, multipliers, *_rooms(model, limits, step))
 
 
 def _side(multiplier: Array, below: Array, above: Array, precision: Scalar) -> Array:

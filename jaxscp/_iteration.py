@@ -18,6 +18,7 @@ from ._scaling import Scaling, automatic_scaling
 from ._state import History, Iterate, Judgement, SCPState, Trial
 from ._subproblem import SubproblemSolution
 from ._transcription import Transcription, Variables
+from ._tree import tree_where
 from ._types import Array, Scalar
 
 # Between one linearization and the next the substeps change at most so much: a wild
@@ -86,6 +87,8 @@ def start(
         weights=nothing.multipliers,
         ceiling=jnp.asarray(ceiling),
         radius=jnp.asarray(radius),
+        longest=jnp.asarray(jnp.inf),
+        own=jnp.array(False),
         history=History.empty(records),
         records=zero,
         iterations=zero,
@@ -168,6 +171,8 @@ def advance(
     iterations: Array,
     polish: Array,
     near: Array,
+    longest: Scalar,
+    own: Array,
 ) -> SCPState:
     """Take the step if it was accepted, and write it down either way.
 
@@ -211,14 +216,11 @@ def advance(
         iterations=iterations,
         polish=polish,
         near=near,
+        longest=longest,
+        own=own,
         subproblems=state.subproblems + effort.solves,
         qp_iterations=state.qp_iterations + effort.iterations,
         qp_seconds=state.qp_seconds + effort.seconds,
         stationary=stationary,
         failures=jnp.where(effort.solved, 0, state.failures + 1),
     )
-
-
-def tree_where(condition: Array, yes, no):
-    """One tree or the other, leaf by leaf."""
-    return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)

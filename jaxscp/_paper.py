@@ -119,6 +119,8 @@ class PaperSCP(AbstractSCP):
             iterations=state.iterations + judgement.accepted,
             polish=state.polish,
             near=state.near,
+            longest=state.longest,
+            own=judgement.accepted,
         )
 
     def _weights(self, transcription: Transcription, state: SCPState) -> PerConstraint:

@@ -6,11 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._active_set import active_set_step
+from ._active_set import NewtonStep, active_set_step
 from ._constraints import integral_limits, worst_violation
-from ._curvature import Curvature, magnitude
+from ._curvature import Curvature
 from ._damping import Damping
-from ._iteration import advance, is_finite, linearized, start, tree_where
+from ._iteration import advance, is_finite, linearized, start
 from ._layout import Structure
 from ._model import Model, exact_curvature, nodewise_curvature
 from ._optimality import Optimality, optimality
@@ -22,6 +22,8 @@ from ._state import Judgement, SCPState
 from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
 from ._subproblem_data import Prices
 from ._transcription import Residuals, Transcription, Variables
+from ._tree import tree_where
+from ._trust_region import hold, metric, next_length, next_radius
 from ._types import Array, Scalar
 
 
@@ -38,15 +40,16 @@ class ProximalSCP(AbstractSCP):
     Far from a solution the model has the curvature of costs, path constraints and
     integrals, made convex at each node, and the trust region is narrow where the dynamics
     curve: its measure adds the size of their curvature in the Lagrangian. Nearer to one
-    steps are tried with all of that curvature, convex or not, along the constraints that
-    were active. Close to it that is Newton's method with the weight of Levenberg and
+    the steps are Newton's, with all of that curvature, convex or not, along the
+    constraints that were active, and as long as earlier ones proved right. Close to it
+    no merit function judges them, and their least weight is that of Levenberg and
     Marquardt: the iterate is polished to a point that meets the optimality conditions.
 
     **Arguments:**
 
     - `tolerance`: of the scaled residual of the optimality conditions.
-    - `max_iterations`: subproblems allowed before polishing, corrections not counted.
-    - `max_polish`: subproblems allowed for polishing.
+    - `max_iterations`: convex subproblems allowed, corrections not counted.
+    - `max_polish`: steps of Newton's method allowed.
     - `min_reduction`: stop where steps promise less, relative to the cost's scale.
     - `feasibility_tolerance`: defects and violations allowed where the residual cannot
         be brought below its tolerance, relative to the scales.
@@ -113,10 +116,11 @@ class ProximalSCP(AbstractSCP):
             optimality=jnp.where(begun, gap.residual, jnp.inf),
         )
         near = begun & self._is_near(after, gap)
-        radius = self._adapted_radius(transcription, state, after)
-        after = dataclasses.replace(
-            after, radius=jnp.where(near, radius, state.radius), near=near
-        )
+        # Steps too long for the Lagrangian's curvature, though no merit function saw it.
+        worse = after.optimality > jnp.maximum(3.0 * state.optimality, self.far)
+        worse &= state.near & ~state.iterate.fresh
+        longest = jnp.where(worse, 0.25 * state.longest, state.longest)
+        after = dataclasses.replace(after, near=near, longest=longest)
         return jax.lax.cond(
             after.optimality <= self.tolerance,
             lambda state: state,
@@ -133,16 +137,6 @@ class ProximalSCP(AbstractSCP):
         limit = jnp.where(state.near, 10.0 * self.far, self.near)
         small = (gap.stationarity <= limit) & (gap.feasibility <= 10.0 * limit)
         return small & self._trusts_newton(state)
-
-    def _adapted_radius(
-        self, transcription: Transcription, before: SCPState, after: SCPState
-    ) -> Scalar:
-        """The radius of polishing, from where it led when it was last used in full."""
-        used = before.near & ~before.iterate.fresh
-        used &= self._trust(transcription, before) >= before.radius
-        change = jnp.where(after.optimality > self.far, 0.25, 1.0)
-        change = jnp.where(after.optimality < self.near, 3.0, change)
-        return before.radius * jnp.where(used, change, 1.0)
 
     def _trust(self, transcription: Transcription, state: SCPState) -> Scalar:
         """The trust region's radius.
@@ -162,21 +156,24 @@ class ProximalSCP(AbstractSCP):
 
         Not those of virtual control, nor those of a subproblem that failed.
         """
-        sound = ~state.solution.effort.relaxed & (state.failures == 0)
-        return sound & (self.curvature == "all")
+        return ~state.solution.effort.relaxed & (state.failures == 0)
+
+    def _may_polish(self, state: SCPState) -> Array:
+        return (state.polish < self.max_polish) & (self.curvature == "all")
 
     def _trusts_newton(self, state: SCPState) -> Array:
         """Whether the next step is tried with all of the curvature, convex or not.
 
         Not with the multipliers of a step that was refused.
         """
-        own = state.near | (state.last_accepted == 1.0)
-        return self._is_sound(state) & own & (state.optimality < self.close)
+        ready = self._is_sound(state) & self._may_polish(state)
+        return ready & (state.near | state.own) & (state.optimality < self.close)
 
     def _iterate(self, transcription: Transcription, state: SCPState) -> SCPState:
         curvatures = self._curvatures(transcription, state)
-        damping = self._damping(transcription, state, curvatures)
-        parts = (curvatures, damping)
+        measure = metric(transcription, state, curvatures)
+        held = hold(transcription, state)
+        parts = (curvatures, measure, held)
         poor = jnp.asarray(self.correction_ratio if self.correction else -jnp.inf)
         found, judgement = search(
             transcription,
@@ -220,69 +217,41 @@ class ProximalSCP(AbstractSCP):
         sound = self._is_sound(state)
         return convex, jax.lax.cond(sound, with_dynamics, lambda: convex)
 
-    def _damping(
-        self,
-        transcription: Transcription,
-        state: SCPState,
-        curvatures: tuple[Curvature, Curvature],
-    ) -> Damping:
-        """The proximal term and, where the model is not convex, the hold of what is
-        active.
-
-        Where the Lagrangian curves along the dynamics no convex model is right, but how
-        strongly it does tells how far one can be trusted: that much curvature, of
-        whatever sign, is part of the trust region's measure.
-        """
-        last, near, (convex, exact) = state.solution, state.near, curvatures
-        weight = 1.0 / self._trust(transcription, state)
-        share = weight / transcription.nodes
-
-        def hold(multiplier: Array) -> Array:
-            size = jnp.abs(multiplier)
-            # PIQP leaves traces on limits that are not active.
-            firm = near & (size > 1e-7)
-            return jnp.minimum(100.0 * jnp.where(firm, size, 0.0), 1e3)
-
-        free = jnp.where(transcription.fixed_states, 0.0, last.state)
-        # The flight time moves every node: it counts once for each of them, but where
-        # the step is short anyway.
-        step = Variables(
-            hold(free) + share,
-            hold(last.control) + share,
-            jnp.where(near, share, weight),
-        )
-        lower, upper = integral_limits(transcription, state.scaling)
-        active = jnp.where(last.multipliers.integral > 0.0, upper, lower)
-        plain = Damping.of(state.iterate.residuals, step)
-        doubt = jax.lax.cond(
-            self._is_sound(state) & ~near,
-            lambda: magnitude(exact.blocks - convex.blocks) / state.radius,
-            lambda: plain.measure,
-        )
-        return dataclasses.replace(
-            plain,
-            path=hold(last.multipliers.path),
-            between=hold(last.multipliers.between),
-            integral=hold(last.multipliers.integral),
-            measure=doubt,
-            target=jnp.where(jnp.isfinite(active), active, 0.0),
-        )
-
     def _solve(
         self,
         transcription: Transcription,
         state: SCPState,
         around: Residuals,
         curvatures: tuple[Curvature, Curvature],
-        damping: Damping,
-    ) -> tuple[SubproblemSolution, Model]:
-        """The step of the model with all of the curvature where that has a minimum along
-        the constraints that were active, of the convex one elsewhere."""
+        measure: Damping,
+        held: Damping,
+    ) -> tuple[SubproblemSolution, Model, NewtonStep]:
+        """Newton's step, along the constraints that were active, where there is one; that
+        of the convex model elsewhere."""
         ceiling, structure = state.ceiling, Structure.of(transcription)
         derivatives = state.iterate.derivatives
         convex, exact = (Model(around, derivatives, each) for each in curvatures)
         # Next to a solution that of a QP, held to the active constraints, is exact, too.
         convex = tree_where(state.near, exact, convex)
+        limits = step_limits(transcription, state.scaling, state.iterate.variables)
+        weight = 1.0 / self._trust(transcription, state)
+        last = state.solution
+        newton = NewtonStep.none(last, weight)
+        if self.curvature == "all":
+            newton = jax.lax.cond(
+                self._trusts_newton(state),
+                lambda: active_set_step(
+                    exact,
+                    measure,
+                    limits,
+                    last,
+                    jnp.maximum(1e-3 * state.optimality, 1e-11),
+                    weight=weight,
+                    longest=state.longest,
+                    insist=state.near,
+                ),
+                lambda: newton,
+            )
         prices = Prices(
             virtual_control=jnp.full_like(around.defects, ceiling),
             path=jnp.full_like(around.path, ceiling),
@@ -293,25 +262,16 @@ class ProximalSCP(AbstractSCP):
             precision=jnp.clip(1e-5 * state.optimality, 1e-10, 1e-7),
             relax=jnp.where(state.near, 0.0, 1.0),
         )
-        limits = step_limits(transcription, state.scaling, state.iterate.variables)
 
-        def by_qp():
+        def by_qp() -> SubproblemSolution:
+            # What was too light for Newton's step is no better here.
+            at_least = jnp.where(state.near, newton.weight, weight)
+            damping = held.plus(measure.times(at_least))
             args = (structure, self.qp, convex, damping, prices, limits)
             return solve_subproblem(*args)
 
-        if self.curvature != "all":
-            return by_qp(), convex
-        matters = jnp.maximum(1e-3 * state.optimality, 1e-11)
-        nothing = SubproblemSolution.none(structure)
-        nothing = eqx.tree_at(lambda s: s.effort.solved, nothing, jnp.array(False))
-        newton = jax.lax.cond(
-            self._trusts_newton(state),
-            lambda: active_set_step(exact, damping, limits, state.solution, matters),
-            lambda: nothing,
-        )
-        found = newton.effort.solved
-        solution = jax.lax.cond(found, lambda: newton, by_qp)
-        return solution, tree_where(found, exact, convex)
+        solution = jax.lax.cond(newton.found, lambda: newton.solution, by_qp)
+        return solution, tree_where(newton.found, exact, convex), newton
 
     def _advance(
         self,
@@ -320,10 +280,12 @@ class ProximalSCP(AbstractSCP):
         found: Search,
         judgement: Judgement,
     ) -> SCPState:
-        trial, near = found.best, state.near
+        trial, near, newton = found.best, state.near, found.newton
         # A step too long leads to no better multipliers than those that led to it.
         kept = dataclasses.replace(state.solution, effort=trial.solution.effort)
-        kept = tree_where(near & ~judgement.accepted, kept, trial.solution)
+        kept = tree_where(
+            (near | newton.found) & ~judgement.accepted, kept, trial.solution
+        )
         trial = dataclasses.replace(trial, solution=kept)
         limits = integral_limits(transcription, state.scaling)
         here = tree_where(judgement.accepted, trial.residuals, state.iterate.residuals)
@@ -338,11 +300,18 @@ class ProximalSCP(AbstractSCP):
         stationary = (promised <= least) | (judgement.predicted <= noise)
         # Next to a solution a step along what the cost hardly sees promises nothing, yet
         # leads to it.
-        hopeful = (state.optimality <= self.far) & ~infeasible & (self.curvature == "all")
-        stationary = jnp.where(hopeful, state.polish + 1 >= self.max_polish, stationary)
+        close = ~infeasible & (state.optimality <= 10.0 * self.far)
+        hopeful = (near | close) & self._may_polish(state)
+        unpromising = promised <= least
+        stationary &= ~hopeful & ~newton.found
         stationary &= trial.solution.effort.solved
         cheap = stationary & bought & (state.ceiling < self.max_ceiling)
         ceiling = jnp.where(cheap, 10.0 * state.ceiling, state.ceiling)
+        poor, good = self.poor_ratio, self.good_ratio
+        ratios = {"poor_ratio": poor, "good_ratio": good}
+        longest = next_length(state, judgement, newton, **ratios)
+        factor = self.weight_factor
+        radius = next_radius(state, judgement, newton, **ratios, factor=factor)
         return advance(
             transcription,
             state,
@@ -350,21 +319,11 @@ class ProximalSCP(AbstractSCP):
             judgement,
             weights=found.weights,
             ceiling=ceiling,
-            radius=jnp.minimum(self._next_radius(state, judgement), self.max_radius),
+            radius=jnp.minimum(radius, self.max_radius),
             stationary=stationary & (~infeasible | bought) & ~cheap,
-            iterations=state.iterations + ~near,
-            polish=state.polish + near,
-            near=near | (hopeful & (promised <= least)),
+            iterations=state.iterations + ~newton.found,
+            polish=state.polish + newton.found,
+            near=near | (hopeful & unpromising),
+            longest=longest,
+            own=judgement.accepted | newton.found,
         )
-
-    def _next_radius(self, state: SCPState, judgement: Judgement) -> Scalar:
-        ratio, factor = judgement.ratio, self.weight_factor
-        change = jnp.where(ratio < self.poor_ratio, 1.0 / factor, 1.0)
-        change = jnp.where(ratio > self.good_ratio, factor, change)
-        # A model that is right so far is right farther out.
-        change = jnp.where(jnp.abs(ratio - 1.0) < 0.15, 2.0 * factor, change)
-        # What was too far a moment ago still is.
-        refused = state.last_accepted == 0.0
-        change = jnp.where(refused, jnp.minimum(change, 1.0), change)
-        polishing = jnp.where(judgement.accepted, 1.0, 1.0 / factor**2)
-        return state.radius * jnp.where(state.near, polishing, change)

@@ -7,13 +7,15 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ._active_set import NewtonStep
 from ._constraints import integral_limits, penalized_cost, worst_violation
-from ._iteration import judge, tree_where, try_step
+from ._iteration import judge, try_step
 from ._model import Model
 from ._per_constraint import PerConstraint
 from ._state import Judgement, SCPState, Trial
 from ._subproblem import SubproblemSolution
 from ._transcription import Residuals, Transcription
+from ._tree import tree_where
 from ._types import Array
 
 
@@ -23,7 +25,7 @@ class Search(eqx.Module):
     - `around`: the residuals the next subproblem is built on.
     - `weights`: of the exact penalty.
     - `expected`: residuals the model predicts for the uncorrected step.
-    - `best`: the better trial so far.
+    - `best`: the better trial so far. `newton`: of the first pass.
     """
 
     passes: Array
@@ -31,12 +33,13 @@ class Search(eqx.Module):
     weights: PerConstraint
     expected: Residuals
     best: Trial
+    newton: NewtonStep
 
 
 def search(
     transcription: Transcription,
     state: SCPState,
-    solve: Callable[[Residuals], tuple[SubproblemSolution, Model]],
+    solve: Callable[[Residuals], tuple[SubproblemSolution, Model, NewtonStep]],
     follow: Callable[[PerConstraint], PerConstraint],
     *,
     accept_ratio: float,
@@ -52,8 +55,8 @@ def search(
 
     **Arguments:**
 
-    - `solve`: the subproblem around some residuals, and the model it took with those of
-        the reference. `follow`: penalty weights from multipliers.
+    - `solve`: the subproblem around some residuals, the model it took with those of the
+        reference, and Newton's step. `follow`: penalty weights from multipliers.
     - `accept_ratio`: as in the ratio test. `correction_ratio`: below it a step is poor.
     - `feasibility`: a step that violates a constraint by more is poor, too.
     """
@@ -73,7 +76,7 @@ def search(
 
     def attempt(found: Search) -> Search:
         first, best = found.passes == 0, found.best
-        solution, model = solve(found.around)
+        solution, model, newton = solve(found.around)
         solution = _or_stay(solution, state.solution)
         weights = tree_where(first, follow(solution.multipliers), found.weights)
         expected = tree_where(first, model.predict(solution.step), found.expected)
@@ -84,11 +87,15 @@ def search(
             solution=_combined(first, better, solution, best.solution),
         )
         around = _corrected(here, trial.residuals, expected)
-        return Search(found.passes + 1, around, weights, expected, chosen)
+        newton = tree_where(first, newton, found.newton)
+        passes = found.passes + 1
+        return Search(passes, around, weights, expected, chosen, newton)
 
     zero = jnp.zeros(())
     nowhere = Trial(state.solution, state.iterate.variables, here, zero + jnp.inf, zero)
-    found = Search(jnp.zeros((), int), here, state.weights, here, nowhere)
+    newton = NewtonStep.none(state.solution, zero)
+    passes = jnp.zeros((), int)
+    found = Search(passes, here, state.weights, here, nowhere, newton)
     found = jax.lax.while_loop(again, attempt, found)
     return found, judged(found)
 

@@ -44,8 +44,8 @@ class Multipliers(eqx.Module):
 class Statistics(eqx.Module):
     """What a solve took.
 
-    - `iterations`: as the method counts them. `polish_iterations`: those after them that
-        polished. `subproblems`: those solved, corrections and relaxations included.
+    - `iterations`: as the method counts them. `polish_iterations`: those beside them that
+        were steps of Newton's method. `subproblems`: those solved, corrections and relaxations included.
         `qp_iterations`: interior-point iterations in all of them.
     - `substeps`: Runge-Kutta steps an interval at the end. `integration_error`: the
         error they leave, relative to the scales.

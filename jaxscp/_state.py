@@ -66,9 +66,11 @@ class SCPState(eqx.Module):
     """Everything an SCP method carries from one iteration to the next.
 
     - `weights`: of the exact penalty. `ceiling`: price of virtual variables.
-    - `radius`: as in [`History`][].
+    - `radius`: as in [`History`][]. `longest`: how long Newton's steps may be, infinite
+        until there was one.
+    - `own`: whether the multipliers belong to the reference, not to a step refused.
     - `records`: entries in the history. `iterations`: those the method's limit counts,
-        without `polish`, those that polished.
+        subproblems of a convex model. `polish`: steps of Newton's method.
     - `subproblems`, `qp_iterations`, `qp_seconds`: QPs solved, and what they took.
     - `stationary`: no step within the model improves the penalized cost.
     - `failures`: subproblems left unsolved in a row.
@@ -83,6 +85,8 @@ class SCPState(eqx.Module):
     weights: PerConstraint
     ceiling: Scalar
     radius: Scalar
+    longest: Scalar
+    own: Array
     history: History
     records: Array
     iterations: Array

@@ -41,7 +41,26 @@ from jaxscp._transcription import Derivatives, Variables
 solve = quick_jit(solve_subproblem)
 predict = quick_jit(Model.predict)
 PRECISION = 1e-11
-step_from = quick_jit(lambda *args: active_set_step(*args, jnp.asarray(PRECISION)))
+
+
+@quick_jit
+def newton_step(model, metric, limits, last, weight=1.0, longest=np.inf, insist=False):
+    return active_set_step(
+        model,
+        metric,
+        limits,
+        last,
+        jnp.asarray(PRECISION),
+        weight=jnp.asarray(weight),
+        longest=jnp.asarray(longest),
+        insist=jnp.asarray(insist),
+    )
+
+
+def step_from(*args):
+    return newton_step(*args).solution
+
+
 
 
 class Power(eqx.Module):
@@ -300,5 +319,28 @@ def test_convexity_is_needed_along_active_constraints_only():
     still = jax.tree.map(jnp.zeros_like, found.step)
     check_same(found, dataclasses.replace(case.solution, step=still))
     loose = bent(near, free, 2, -10.0)
-    found = step_from(loose, near.damping, near.limits, case.solution)
-    assert not bool(found.effort.solved)
+    found = newton_step(loose, near.damping, near.limits, case.solution)
+    assert bool(found.found)
+    # It takes a narrower trust region, no narrower than it must be.
+    assert float(found.weight) > 1.0
+    light = float(found.weight) / 4.0
+    assert float(lightest_of(loose, near, light, case).weight) > light
+
+
+def lightest_of(model: Model, near: Case, weight: float, case: Case):
+    return newton_step(model, near.damping, near.limits, case.solution, weight)
+
+
+@pytest.mark.parametrize("share", [0.5, 0.1])
+def test_steps_are_as_long_as_they_may_be(share):
+    # From a feasible point, where the shortest step is none.
+    case = case_of("push")
+    near, start = counted_from(case, case.solution.step), case.solution
+    free = (near.model, gentle(near.model), near.limits, start)
+    whole = newton_step(*free)
+    assert bool(whole.found)
+    longest = share * float(whole.length)
+    found = newton_step(*free, longest=longest, insist=True)
+    assert bool(found.found)
+    assert float(found.weight) > 1.0
+    assert 0.3 * longest < float(found.length) <= 1.2 * longest
