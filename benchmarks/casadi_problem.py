@@ -14,11 +14,13 @@ class DiscreteProblem(NamedTuple):
     """minimize f(z) subject to bounds on z and on g(z).
 
     - `expressions`: "x", "f" and "g", as `casadi.nlpsol` takes them.
+    - `constraints`: the parts of g: defects, and the data if there are any to send.
     - `limits`: "lbx", "ubx", "lbg" and "ubg", as the solver takes them.
     - `scale`: what an entry of z stands for in physical units.
     """
 
     expressions: dict[str, ca.MX]
+    constraints: list[ca.MX]
     limits: dict[str, np.ndarray]
     scale: np.ndarray
 
@@ -116,6 +118,7 @@ def discrete_problem(case: dict, *, scaled: bool) -> DiscreteProblem:
         lower, upper = np.append(lower, 1.0), np.append(upper, np.inf)
     return DiscreteProblem(
         {"x": z, "f": totals[-1], "g": ca.vertcat(*constraints)},
+        constraints,
         {
             "lbx": packed(case, case["lower"]) / scale,
             "ubx": packed(case, case["upper"]) / scale,

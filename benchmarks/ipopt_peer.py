@@ -9,10 +9,9 @@ import time
 from pathlib import Path
 
 import casadi as ca
-import numpy as np
 
 from . import memory
-from .casadi_problem import discrete_problem, packed
+from .casadi_problem import DiscreteProblem, discrete_problem, packed
 
 # Of the objective and the constraints, scaled, that CasADi finds at jaxscp's solution.
 SAME = 1e-6
@@ -26,6 +25,7 @@ def solve(case: dict, *, graph: str, scaled: bool, limit: float) -> dict:
         # CasADi's, of how functions are evaluated: the whole graph in scalar
         # operations is faster, one interval's function mapped over all is smaller.
         "expand": graph == "expanded",
+        "jac_g": jacobian(problem, expand=graph == "expanded"),
         "print_time": False,
         "ipopt.print_level": 0,
         "ipopt.sb": "yes",
@@ -54,6 +54,16 @@ def solve(case: dict, *, graph: str, scaled: bool, limit: float) -> dict:
         "memory_peak": memory.peak(),
         "casadi": ca.__version__,
     }
+
+
+def jacobian(problem: DiscreteProblem, *, expand: bool) -> ca.Function:
+    """Of the constraints, in parts: the defects' columns can be found many at a time, but
+    not together with the data's dense row, which CasADi takes backward."""
+    z, g = problem.expressions["x"], problem.expressions["g"]
+    blocks = [ca.jacobian(part, z) for part in problem.constraints]
+    names = (["x", "p"], ["g", "jac_g_x"])
+    whole = ca.Function("jac_g", [z, ca.MX.sym("p", 0)], [g, ca.vertcat(*blocks)], *names)
+    return whole.expand() if expand else whole
 
 
 def checked(case: dict) -> dict:
