@@ -22,12 +22,18 @@ def timed_solve(
     guess: jaxscp.Trajectory,
     repeats: int,
     method: jaxscp.AbstractSCP = jaxscp.ProximalSCP(),  # noqa: B008  (immutable)
+    **settings,
 ) -> Timed:
-    """Solve once with compilation, then `repeats` times; warm is their median."""
+    """Solve once with compilation, then `repeats` times; warm is their median.
+
+    **Arguments:**
+
+    - `settings`: others of `jaxscp.solve`.
+    """
     seconds = []
     for _ in range(repeats + 1):
         begun = time.perf_counter()
-        solution = jaxscp.solve(problem, guess, method, throw=False)
+        solution = jaxscp.solve(problem, guess, method, throw=False, **settings)
         jax.block_until_ready(solution)
         seconds.append(time.perf_counter() - begun)
     return Timed(solution, seconds[0], statistics.median(seconds[1:]))

@@ -1,0 +1,148 @@
+"""A mission's discrete problem, written a second time in CasADi.
+
+It is made from numbers alone (`ipopt_peer.py` says which), so that a process that solves
+it needs no JAX.
+"""
+
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+
+class DiscreteProblem(NamedTuple):
+    """minimize f(z) subject to bounds on z and on g(z).
+
+    - `expressions`: "x", "f" and "g", as `casadi.nlpsol` takes them.
+    - `constraints`: the parts of g: defects, and the data if there are any to send.
+    - `limits`: "lbx", "ubx", "lbg" and "ubg", as the solver takes them.
+    - `scale`: what an entry of z stands for in physical units.
+    """
+
+    expressions: dict[str, ca.MX]
+    constraints: list[ca.MX]
+    limits: dict[str, np.ndarray]
+    scale: np.ndarray
+
+
+def dynamics(vehicle: dict, x, u) -> list:
+    """Time derivative of the state."""
+    roll, pitch, yaw, p, q, r = (x[entry] for entry in range(6, 12))
+    jx, jy, jz = vehicle["inertia"]
+    lift, lean = u[0] / vehicle["mass"], ca.sin(pitch) * ca.cos(roll)
+    turn = (q * ca.sin(roll) + r * ca.cos(roll)) / ca.cos(pitch)
+    return [
+        *(x[3], x[4], x[5]),
+        lift * (ca.cos(yaw) * lean + ca.sin(yaw) * ca.sin(roll)),
+        lift * (ca.sin(yaw) * lean - ca.cos(yaw) * ca.sin(roll)),
+        lift * ca.cos(pitch) * ca.cos(roll) - vehicle["gravity"],
+        *(p + ca.sin(pitch) * turn, q * ca.cos(roll) - r * ca.sin(roll), turn),
+        (u[1] + (jy - jz) * q * r) / jx,
+        (u[2] + (jz - jx) * p * r) / jy,
+        (u[3] + (jx - jy) * p * q) / jz,
+    ]
+
+
+def data_rate(channel: dict, place):
+    """Expected rate [bit/s] at a position."""
+    away = place - np.asarray(channel["ground_station"])
+    level = ca.sqrt(away[0] ** 2 + away[1] ** 2 + 1e-6)
+    elevation = ca.atan2(away[2], level) * 180 / np.pi
+    threshold, steepness = channel["environment"]
+    sight = 1 / (1 + threshold * ca.exp(-steepness * (elevation - threshold)))
+    zeta = channel["reflection_attenuation"]
+    log_distance = ca.log(ca.sumsqr(away) + 1e-6) / 2
+    loss = ca.exp(-channel["path_loss_exponent"] * log_distance)
+    snr = channel["snr_constant"] * (zeta + (1 - zeta) * sight) * loss
+    return channel["bandwidth"] * ca.log1p(snr) / np.log(2)
+
+
+def integrands(mission: dict, x, u) -> list:
+    """Share of the data sent per second, if any are to be, and running cost."""
+    rates = [ca.sumsqr(u)]
+    if mission["data_required"] is not None:
+        share = data_rate(mission["channel"], x[:3]) / mission["data_required"]
+        rates.insert(0, share)
+    return rates
+
+
+def interval(mission: dict, substeps: int, gathers: bool) -> ca.Function:
+    """State at the end of one interval, and growth of the integrals if it `gathers`."""
+    x, u, seconds = ca.SX.sym("x", 12), ca.SX.sym("u", 4), ca.SX.sym("seconds")
+
+    def rates(y):
+        sums = integrands(mission, y, u) if gathers else []
+        return ca.vertcat(*dynamics(mission["vehicle"], y, u), *sums)
+
+    y, h = ca.vertcat(x, ca.SX.zeros(rates(x).numel() - 12)), seconds / substeps
+    for _ in range(substeps):
+        k1 = rates(y)
+        k2 = rates(y + h / 2 * k1)
+        k3 = rates(y + h / 2 * k2)
+        k4 = rates(y + h * k3)
+        y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return ca.Function("interval", [x, u, seconds], [y[:12], y[12:]])
+
+
+def nodal_integrands(mission: dict) -> ca.Function:
+    x, u = ca.SX.sym("x", 12), ca.SX.sym("u", 4)
+    return ca.Function("integrands", [x, u], [ca.vertcat(*integrands(mission, x, u))])
+
+
+def discrete_problem(case: dict, *, scaled: bool) -> DiscreteProblem:
+    """Multiple shooting with one interval a node, as jaxscp has it.
+
+    **Arguments:**
+
+    - `scaled`: whether z and the defects are in the case's scales, or in SI units.
+    """
+    nodes, mission = len(case["fractions"]), case["mission"]
+    intervals, gathers = nodes - 1, case["quadrature"] == "flow"
+    scale = packed(case, case["scales"])
+    scale = scale if scaled else np.ones_like(scale)
+    z = ca.MX.sym("z", scale.size)
+    states, controls, final_time = unpacked(case, scale * z)
+    seconds = final_time * ca.DM(np.diff(case["fractions"])).T
+    ends, growth = interval(mission, case["substeps"], gathers).map(intervals)(
+        states[:, :-1], controls[:, :intervals], seconds
+    )
+    if not gathers:
+        rates = nodal_integrands(mission).map(nodes)(states, controls)
+        width = ca.repmat(seconds, rates.size1(), 1)
+        growth = width / 2 * (rates[:, :-1] + rates[:, 1:])
+    totals, defects = ca.sum2(growth), ca.vec(states[:, 1:] - ends)
+    constraints = [defects / scale[12 : 12 * nodes]]
+    lower = upper = np.zeros(12 * intervals)
+    if mission["data_required"] is not None:
+        constraints.append(totals[0])
+        lower, upper = np.append(lower, 1.0), np.append(upper, np.inf)
+    return DiscreteProblem(
+        {"x": z, "f": totals[-1], "g": ca.vertcat(*constraints)},
+        constraints,
+        {
+            "lbx": packed(case, case["lower"]) / scale,
+            "ubx": packed(case, case["upper"]) / scale,
+            "lbg": lower,
+            "ubg": upper,
+        },
+        scale,
+    )
+
+
+def packed(case: dict, trajectory: dict) -> np.ndarray:
+    """Nodal states and controls and the flight time in one vector."""
+    controls = np.asarray(trajectory["controls"])[: control_nodes(case)]
+    states, final_time = np.ravel(trajectory["states"]), trajectory["final_time"]
+    return np.concatenate([states, controls.ravel(), [final_time]])
+
+
+def unpacked(case: dict, vector: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """States (12, N), controls (4, M) and flight time."""
+    nodes, free = len(case["fractions"]), control_nodes(case)
+    states, controls = vector[: 12 * nodes], vector[12 * nodes : -1]
+    return ca.reshape(states, 12, nodes), ca.reshape(controls, 4, free), vector[-1]
+
+
+def control_nodes(case: dict) -> int:
+    """Under the trapezoid rule the last node has a control of its own, too."""
+    return len(case["fractions"]) - (case["quadrature"] == "flow")
