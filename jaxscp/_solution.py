@@ -45,8 +45,8 @@ class Statistics(eqx.Module):
     """What a solve took.
 
     - `iterations`: as the method counts them. `polish_iterations`: those beside them that
-        were steps of Newton's method. `subproblems`: those solved, corrections and relaxations included.
-        `qp_iterations`: interior-point iterations in all of them.
+        were steps of Newton's method. `subproblems`: QPs solved, corrections and
+        relaxations included. `qp_iterations`: interior-point iterations in all of them.
     - `substeps`: Runge-Kutta steps an interval at the end. `integration_error`: the
         error they leave, relative to the scales.
     - `qp_seconds`: time inside PIQP. `seconds`: the whole call, compilation included;

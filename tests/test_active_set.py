@@ -61,8 +61,6 @@ def step_from(*args):
     return newton_step(*args).solution
 
 
-
-
 class Power(eqx.Module):
     limit: jax.Array
 
