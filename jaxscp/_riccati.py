@@ -159,9 +159,9 @@ def solve(
         after = by_state @ y + by_control @ decision + drift
         return after, (after, decision)
 
-    stages = (program.by_state, program.by_control, program.drift)
-    stages += (factors.inverse, factors.cross, rest)
-    _, (after, decisions) = jax.lax.scan(onward, begin, stages)
+    dynamics = (program.by_state, program.by_control, program.drift)
+    feedback = (factors.inverse, factors.cross, rest)
+    _, (after, decisions) = jax.lax.scan(onward, begin, (*dynamics, *feedback))
     y = jnp.concatenate([begin[None], after])
     costates = ahead + jnp.einsum("kyz,kz->ky", factors.ahead, after)
     return y, decisions, costates
