@@ -226,8 +226,7 @@ class ActiveSystem(eqx.Module):
         total += jnp.vdot(costates, after.defects)
         total += jnp.vdot(pushes.path, after.path)
         total += jnp.vdot(pushes.between, self._peaks(after))
-        # The model's own totals have curvature, which is the objective's already.
-        total += jnp.vdot(pushes.integral, self.model.linear(step).totals)
+        total += jnp.vdot(pushes.integral, after.totals)
         return total + jnp.vdot(pushes.variables.states, step.states)
 
     def _peaks(self, after: Residuals) -> Array:

@@ -23,7 +23,7 @@ from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
 from ._subproblem_data import Prices
 from ._transcription import Residuals, Transcription, Variables
 from ._tree import tree_where
-from ._trust_region import hold, metric, next_length, next_radius
+from ._trust_region import hold_active, metric, next_length, next_radius
 from ._types import Array, Scalar
 
 
@@ -156,7 +156,8 @@ class ProximalSCP(AbstractSCP):
 
         Not those of virtual control, nor those of a subproblem that failed.
         """
-        return ~state.solution.effort.relaxed & (state.failures == 0)
+        sound = ~state.solution.effort.relaxed & (state.failures == 0)
+        return sound & (self.curvature == "all")
 
     def _may_polish(self, state: SCPState) -> Array:
         return (state.polish < self.max_polish) & (self.curvature == "all")
@@ -171,9 +172,8 @@ class ProximalSCP(AbstractSCP):
 
     def _iterate(self, transcription: Transcription, state: SCPState) -> SCPState:
         curvatures = self._curvatures(transcription, state)
-        measure = metric(transcription, state, curvatures)
-        held = hold(transcription, state)
-        parts = (curvatures, measure, held)
+        measure = metric(transcription, state, curvatures, self._is_sound(state))
+        parts = (curvatures, measure, hold_active(transcription, state))
         poor = jnp.asarray(self.correction_ratio if self.correction else -jnp.inf)
         found, judgement = search(
             transcription,
@@ -228,7 +228,6 @@ class ProximalSCP(AbstractSCP):
     ) -> tuple[SubproblemSolution, Model, NewtonStep]:
         """Newton's step, along the constraints that were active, where there is one; that
         of the convex model elsewhere."""
-        ceiling, structure = state.ceiling, Structure.of(transcription)
         derivatives = state.iterate.derivatives
         convex, exact = (Model(around, derivatives, each) for each in curvatures)
         # Next to a solution that of a QP, held to the active constraints, is exact, too.
@@ -252,26 +251,31 @@ class ProximalSCP(AbstractSCP):
                 ),
                 lambda: newton,
             )
-        prices = Prices(
-            virtual_control=jnp.full_like(around.defects, ceiling),
-            path=jnp.full_like(around.path, ceiling),
-            limit=jnp.full((transcription.nodes - 1, structure.limits), ceiling),
-            integral=jnp.full_like(around.totals, ceiling),
-            radius=jnp.zeros(()),
-            # As exact as the way still to go deserves.
-            precision=jnp.clip(1e-5 * state.optimality, 1e-10, 1e-7),
-            relax=jnp.where(state.near, 0.0, 1.0),
-        )
 
         def by_qp() -> SubproblemSolution:
             # What was too light for Newton's step is no better here.
             at_least = jnp.where(state.near, newton.weight, weight)
             damping = held.plus(measure.times(at_least))
+            structure = Structure.of(transcription)
+            prices = self._prices(structure, state)
             args = (structure, self.qp, convex, damping, prices, limits)
             return solve_subproblem(*args)
 
         solution = jax.lax.cond(newton.found, lambda: newton.solution, by_qp)
         return solution, tree_where(newton.found, exact, convex), newton
+
+    def _prices(self, structure: Structure, state: SCPState) -> Prices:
+        residuals, ceiling = state.iterate.residuals, state.ceiling
+        return Prices(
+            virtual_control=jnp.full_like(residuals.defects, ceiling),
+            path=jnp.full_like(residuals.path, ceiling),
+            limit=jnp.full((structure.nodes - 1, structure.limits), ceiling),
+            integral=jnp.full_like(residuals.totals, ceiling),
+            radius=jnp.zeros(()),
+            # As exact as the way still to go deserves.
+            precision=jnp.clip(1e-5 * state.optimality, 1e-10, 1e-7),
+            relax=jnp.where(state.near, 0.0, 1.0),
+        )
 
     def _advance(
         self,
@@ -297,12 +301,12 @@ class ProximalSCP(AbstractSCP):
         least = jnp.where(bought, self.min_progress, self.min_reduction)
         # Where violations outweigh the cost: within what a QP solver resolves.
         noise = 1e-9 * jnp.abs(judgement.reference)
-        stationary = (promised <= least) | (judgement.predicted <= noise)
+        unpromising = promised <= least
+        stationary = unpromising | (judgement.predicted <= noise)
         # Next to a solution a step along what the cost hardly sees promises nothing, yet
         # leads to it.
         close = ~infeasible & (state.optimality <= 10.0 * self.far)
         hopeful = (near | close) & self._may_polish(state)
-        unpromising = promised <= least
         stationary &= ~hopeful & ~newton.found
         stationary &= trial.solution.effort.solved
         cheap = stationary & bought & (state.ceiling < self.max_ceiling)

@@ -9,6 +9,7 @@ Computing 4 (1983).
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 
 from ._active_set import NewtonStep
@@ -24,6 +25,7 @@ def metric(
     transcription: Transcription,
     state: SCPState,
     curvatures: tuple[Curvature, Curvature],
+    sound: Array,
 ) -> Damping:
     """The square of a step's length, of which a subproblem is charged a half.
 
@@ -33,7 +35,8 @@ def metric(
 
     **Arguments:**
 
-    - `curvatures`: of the convex model, and all of the Lagrangian's.
+    - `curvatures`: of the convex model, and all of the Lagrangian's. `sound`: whether
+        that is known; the convex one stands for it where not.
     """
     convex, exact = curvatures
     share = 1.0 / transcription.nodes
@@ -45,11 +48,15 @@ def metric(
         jnp.ones_like(like.final_time),
     )
     plain = Damping.of(state.iterate.residuals, weights)
-    doubt = magnitude(exact.blocks - convex.blocks)
+    doubt = jax.lax.cond(
+        sound,
+        lambda: magnitude(exact.blocks - convex.blocks),
+        lambda: plain.measure,
+    )
     return dataclasses.replace(plain, measure=doubt)
 
 
-def hold(transcription: Transcription, state: SCPState) -> Damping:
+def hold_active(transcription: Transcription, state: SCPState) -> Damping:
     """What draws a polishing step to the constraints that were active.
 
     The Lagrangian need only be convex along them.

@@ -317,16 +317,13 @@ def test_convexity_is_needed_along_active_constraints_only():
     still = jax.tree.map(jnp.zeros_like, found.step)
     check_same(found, dataclasses.replace(case.solution, step=still))
     loose = bent(near, free, 2, -10.0)
-    found = newton_step(loose, near.damping, near.limits, case.solution)
+    parts = (loose, near.damping, near.limits, case.solution)
+    found = newton_step(*parts)
     assert bool(found.found)
     # It takes a narrower trust region, no narrower than it must be.
     assert float(found.weight) > 1.0
     light = float(found.weight) / 4.0
-    assert float(lightest_of(loose, near, light, case).weight) > light
-
-
-def lightest_of(model: Model, near: Case, weight: float, case: Case):
-    return newton_step(model, near.damping, near.limits, case.solution, weight)
+    assert float(newton_step(*parts, weight=light).weight) > light
 
 
 @pytest.mark.parametrize("share", [0.5, 0.1])
