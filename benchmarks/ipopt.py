@@ -75,6 +75,8 @@ def measure(name: str, ways: list[str], limit: float, nodes: int, repeats: int) 
 
 def comparison(ours: dict, theirs: dict) -> str:
     """How many times faster jaxscp is, where that can be said."""
+    if not ours["converged"]:
+        return "jaxscp fails"
     times = f"{theirs['seconds'] / ours['seconds']:.1f} times"
     if theirs["status"] == OUT_OF_TIME:
         return f"more than {times}"
