@@ -28,7 +28,7 @@ _ATTEMPTS = 24
 _TRIES = 6
 # The next weight where one was too light, and how close to such a one the best may be.
 _HEAVIER = 4.0
-_CLOSE = 2.5
+_CLOSE = 1.6
 # Of the length allowed.
 _OVERLONG = 1.2
 
@@ -79,7 +79,7 @@ def active_set_step(
     *,
     weight: Scalar,
     longest: Scalar,
-    insist: Array,
+    heaviest: Scalar,
 ) -> NewtonStep:
     """The step of a subproblem, from the active constraints of the one before.
 
@@ -90,8 +90,8 @@ def active_set_step(
         the step is longer than `longest`.
     - `precision`: violations and multipliers of the wrong sign that do not matter: which
         of several limits that say nearly the same are active is then left open.
-    - `insist`: whether to try heavier weights, too, where the active constraints are not
-        found: for short enough steps they are those of the one before.
+    - `heaviest`: weight that is worth trying where the active constraints are not found:
+        for short enough steps they are those of the one before.
     """
     still = jax.tree.map(jnp.zeros_like, last.step)
     first = _sides(model, limits, last, still, precision)
@@ -108,11 +108,12 @@ def active_set_step(
         sides = _sides(model, limits, solution, solution.step, precision)
         same = jax.tree.map(lambda a, b: jnp.all(a == b), sides, at.sides)
         same = jnp.all(jnp.stack(jax.tree.leaves(same)))
-        right = ~light & (gap <= precision) & same
+        right = ~light & (gap <= jnp.maximum(precision, 1e-8)) & same
         solution = eqx.tree_at(lambda s: s.effort.solved, solution, right)
         this = NewtonStep(solution, at.weight, length)
         lost = ~light & ~right & (at.tries + 1 >= _TRIES)
-        light |= lost & insist
+        insist = lost & (_HEAVIER * at.weight <= heaviest)
+        light |= insist
         best = tree_where(right, this, at.best)
         too_light = jnp.where(light, at.weight, at.too_light)
         between = jnp.sqrt(too_light * best.weight)

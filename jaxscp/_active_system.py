@@ -24,8 +24,8 @@ from ._types import Array, Float, Scalar
 
 # Weight of the squares that pull, and how often what they lack is added: each time leaves
 # about a thousandth of the gap, more where a constraint hardly gives way.
-_FIRM = 1e4
-_PASSES = 12
+_FIRM = 3e4
+_PASSES = 32
 # Gaps below this share of the precision asked for are closed.
 _CLOSED = 0.1
 # A gradient this large that ought to vanish: the recursion broke down.

@@ -15,7 +15,7 @@ from ._constraints import (
 from ._discretization import Discretization
 from ._per_constraint import PerConstraint
 from ._scaling import Scaling, automatic_scaling
-from ._state import History, Iterate, Judgement, SCPState, Trial
+from ._state import History, Iterate, Judgement, Reach, SCPState, Trial
 from ._subproblem import SubproblemSolution
 from ._transcription import Transcription, Variables
 from ._tree import tree_where
@@ -87,7 +87,7 @@ def start(
         weights=nothing.multipliers,
         ceiling=jnp.asarray(ceiling),
         radius=jnp.asarray(radius),
-        longest=jnp.asarray(jnp.inf),
+        reach=Reach(jnp.asarray(jnp.inf), jnp.asarray(1.0 / radius)),
         own=jnp.array(False),
         history=History.empty(records),
         records=zero,
@@ -171,7 +171,7 @@ def advance(
     iterations: Array,
     polish: Array,
     near: Array,
-    longest: Scalar,
+    reach: Reach,
     own: Array,
 ) -> SCPState:
     """Take the step if it was accepted, and write it down either way.
@@ -216,7 +216,7 @@ def advance(
         iterations=iterations,
         polish=polish,
         near=near,
-        longest=longest,
+        reach=reach,
         own=own,
         subproblems=state.subproblems + effort.solves,
         qp_iterations=state.qp_iterations + effort.iterations,

@@ -23,7 +23,7 @@ from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
 from ._subproblem_data import Prices
 from ._transcription import Residuals, Transcription, Variables
 from ._tree import tree_where
-from ._trust_region import hold_active, metric, next_length, next_radius
+from ._trust_region import blind_reach, hold_active, metric, next_radius, next_reach
 from ._types import Array, Scalar
 
 
@@ -79,8 +79,8 @@ class ProximalSCP(AbstractSCP):
     min_progress: float = eqx.field(static=True, default=1e-4)
     # Residuals below which the multipliers are good enough for all of the curvature,
     # below which Newton's method needs no merit function, and from which it finds back.
-    close: float = eqx.field(static=True, default=0.1)
-    near: float = eqx.field(static=True, default=1e-4)
+    close: float = eqx.field(static=True, default=1.0)
+    near: float = eqx.field(static=True, default=1e-6)
     far: float = eqx.field(static=True, default=1e-3)
     min_radius: float = eqx.field(static=True, default=1e-12)
     max_radius: float = eqx.field(static=True, default=1e9)
@@ -116,11 +116,9 @@ class ProximalSCP(AbstractSCP):
             optimality=jnp.where(begun, gap.residual, jnp.inf),
         )
         near = begun & self._is_near(after, gap)
-        # Steps too long for the Lagrangian's curvature, though no merit function saw it.
-        worse = after.optimality > jnp.maximum(3.0 * state.optimality, self.far)
-        worse &= state.near & ~state.iterate.fresh
-        longest = jnp.where(worse, 0.25 * state.longest, state.longest)
-        after = dataclasses.replace(after, near=near, longest=longest)
+        blind = blind_reach(transcription, state, after, self.far)
+        reach = tree_where(near, blind, state.reach)
+        after = dataclasses.replace(after, near=near, reach=reach)
         return jax.lax.cond(
             after.optimality <= self.tolerance,
             lambda state: state,
@@ -134,22 +132,9 @@ class ProximalSCP(AbstractSCP):
         Once it is, also a little farther away: a long step along directions that the
         cost hardly sees is worth the steps that take its side effects back.
         """
-        limit = jnp.where(state.near, 10.0 * self.far, self.near)
+        limit = jnp.where(state.near, self.far, self.near)
         small = (gap.stationarity <= limit) & (gap.feasibility <= 10.0 * limit)
         return small & self._trusts_newton(state)
-
-    def _trust(self, transcription: Transcription, state: SCPState) -> Scalar:
-        """The trust region's radius.
-
-        In polishing that of Levenberg and Marquardt as well, whose weight vanishes with
-        the residual: it converges fast, and hardly moves along directions that the cost
-        hardly sees, as of a quadrotor's yaw.
-        """
-        residual = state.optimality
-        # Next to a solution along all others, those directions may be given way.
-        factor = jnp.where(residual < 0.1 * self.near, 0.01, 0.3)
-        newton = 1.0 / (factor * residual * transcription.nodes)
-        return jnp.where(state.near, jnp.minimum(state.radius, newton), state.radius)
 
     def _is_sound(self, state: SCPState) -> Array:
         """Whether the multipliers are good for the dynamics' curvature.
@@ -231,10 +216,8 @@ class ProximalSCP(AbstractSCP):
         derivatives = state.iterate.derivatives
         convex, exact = (Model(around, derivatives, each) for each in curvatures)
         # Next to a solution that of a QP, held to the active constraints, is exact, too.
-        convex = tree_where(state.near, exact, convex)
         limits = step_limits(transcription, state.scaling, state.iterate.variables)
-        weight = 1.0 / self._trust(transcription, state)
-        last = state.solution
+        weight, last = 1.0 / state.radius, state.solution
         newton = NewtonStep.none(last, weight)
         if self.curvature == "all":
             newton = jax.lax.cond(
@@ -245,17 +228,16 @@ class ProximalSCP(AbstractSCP):
                     limits,
                     last,
                     jnp.maximum(1e-3 * state.optimality, 1e-11),
-                    weight=weight,
-                    longest=state.longest,
-                    insist=state.near,
+                    weight=state.reach.weight,
+                    longest=state.reach.length,
+                    # A convex subproblem's step is better than a short one.
+                    heaviest=jnp.where(state.near, jnp.inf, weight),
                 ),
                 lambda: newton,
             )
 
         def by_qp() -> SubproblemSolution:
-            # What was too light for Newton's step is no better here.
-            at_least = jnp.where(state.near, newton.weight, weight)
-            damping = held.plus(measure.times(at_least))
+            damping = measure.times(weight)
             structure = Structure.of(transcription)
             prices = self._prices(structure, state)
             args = (structure, self.qp, convex, damping, prices, limits)
@@ -297,7 +279,8 @@ class ProximalSCP(AbstractSCP):
         # Where even the model leaves a violation, virtual variables may be too cheap.
         bought = worst_violation(found.expected, limits) > self.feasibility_tolerance
         # A heavy proximal term makes every prediction small: take it out again.
-        promised = judgement.predicted * jnp.maximum(1.0, 1.0 / state.radius)
+        weight = jnp.where(newton.found, newton.weight, 1.0 / state.radius)
+        promised = judgement.predicted * jnp.maximum(1.0, weight)
         least = jnp.where(bought, self.min_progress, self.min_reduction)
         # Where violations outweigh the cost: within what a QP solver resolves.
         noise = 1e-9 * jnp.abs(judgement.reference)
@@ -305,17 +288,18 @@ class ProximalSCP(AbstractSCP):
         stationary = unpromising | (judgement.predicted <= noise)
         # Next to a solution a step along what the cost hardly sees promises nothing, yet
         # leads to it.
-        close = ~infeasible & (state.optimality <= 10.0 * self.far)
+        close = ~infeasible & (state.optimality <= self.close)
         hopeful = (near | close) & self._may_polish(state)
         stationary &= ~hopeful & ~newton.found
         stationary &= trial.solution.effort.solved
         cheap = stationary & bought & (state.ceiling < self.max_ceiling)
         ceiling = jnp.where(cheap, 10.0 * state.ceiling, state.ceiling)
         poor, good = self.poor_ratio, self.good_ratio
-        ratios = {"poor_ratio": poor, "good_ratio": good}
-        longest = next_length(state, judgement, newton, **ratios)
-        factor = self.weight_factor
-        radius = next_radius(state, judgement, newton, **ratios, factor=factor)
+        ratios = {"poor_ratio": poor, "good_ratio": good, "factor": self.weight_factor}
+        radius = next_radius(state, judgement, **ratios)
+        radius = jnp.where(newton.found, state.radius, radius)
+        reach = next_reach(state, judgement, newton, **ratios)
+        reach = tree_where(newton.found, reach, state.reach)
         return advance(
             transcription,
             state,
@@ -328,6 +312,6 @@ class ProximalSCP(AbstractSCP):
             iterations=state.iterations + ~newton.found,
             polish=state.polish + newton.found,
             near=near | (hopeful & unpromising),
-            longest=longest,
+            reach=reach,
             own=judgement.accepted | newton.found,
         )

@@ -62,12 +62,22 @@ class History(eqx.Module):
         )
 
 
+class Reach(eqx.Module):
+    """How far Newton's steps may go.
+
+    - `length`: the longest, infinite until there was one.
+    - `weight`: of the proximal term, tried first; heavier ones where it is too light.
+    """
+
+    length: Scalar
+    weight: Scalar
+
+
 class SCPState(eqx.Module):
     """Everything an SCP method carries from one iteration to the next.
 
     - `weights`: of the exact penalty. `ceiling`: price of virtual variables.
-    - `radius`: as in [`History`][]. `longest`: how long Newton's steps may be, infinite
-        until there was one.
+    - `radius`: as in [`History`][]. `reach`: of Newton's steps.
     - `own`: whether the multipliers belong to the reference, not to a step refused.
     - `records`: entries in the history. `iterations`: those the method's limit counts,
         subproblems of a convex model. `polish`: steps of Newton's method.
@@ -85,7 +95,7 @@ class SCPState(eqx.Module):
     weights: PerConstraint
     ceiling: Scalar
     radius: Scalar
-    longest: Scalar
+    reach: Reach
     own: Array
     history: History
     records: Array

@@ -16,7 +16,7 @@ from ._active_set import NewtonStep
 from ._constraints import integral_limits
 from ._curvature import Curvature, magnitude
 from ._damping import Damping
-from ._state import Judgement, SCPState
+from ._state import Judgement, Reach, SCPState
 from ._transcription import Transcription, Variables
 from ._types import Array, Scalar
 
@@ -84,13 +84,12 @@ def hold_active(transcription: Transcription, state: SCPState) -> Damping:
 def next_radius(
     state: SCPState,
     judgement: Judgement,
-    newton: NewtonStep,
     *,
     poor_ratio: float,
     good_ratio: float,
     factor: float,
 ) -> Scalar:
-    """The inverse of the weight that the next step starts from."""
+    """The inverse of the next subproblem's weight."""
     ratio = judgement.ratio
     change = jnp.where(ratio < poor_ratio, 1.0 / factor, 1.0)
     change = jnp.where(ratio > good_ratio, factor, change)
@@ -99,28 +98,52 @@ def next_radius(
     # What was too far a moment ago still is.
     refused = state.last_accepted == 0.0
     change = jnp.where(refused, jnp.minimum(change, 1.0), change)
-    used = jnp.where(newton.found, 1.0 / newton.weight, state.radius)
-    polishing = jnp.where(judgement.accepted, factor, 1.0 / factor**2) * state.radius
-    polishing = jnp.minimum(polishing, jnp.where(newton.found, factor * used, jnp.inf))
-    return jnp.where(state.near, polishing, change * used)
+    # Where no penalized cost is asked, only what leads astray is refused.
+    blind = jnp.where(judgement.accepted, factor, 1.0 / factor**2)
+    return jnp.where(state.near, blind, change) * state.radius
 
 
-def next_length(
+def next_reach(
     state: SCPState,
     judgement: Judgement,
     newton: NewtonStep,
     *,
     poor_ratio: float,
     good_ratio: float,
-) -> Scalar:
-    """How long Newton's next step may be: unlimited until there was a first."""
+    factor: float,
+) -> Reach:
+    """How far Newton's next step may go, after one of these.
+
+    Its length tells; the weight is only as heavy as that asks.
+    """
     ratio, near, length = judgement.ratio, state.near, newton.length
     change = jnp.where(ratio > good_ratio, 2.0, 1.0)
-    change = jnp.where(_is_right(ratio) | near, 3.0, change)
-    known = jnp.where(jnp.isinf(state.longest), 0.0, state.longest)
-    longer = jnp.maximum(known, change * length)
+    change = jnp.where(_is_right(ratio) | near, factor, change)
+    before = state.reach.length
+    longer = jnp.maximum(jnp.where(jnp.isinf(before), 0.0, before), change * length)
     good = judgement.accepted & ((ratio >= poor_ratio) | near)
-    return jnp.where(newton.found, jnp.where(good, longer, 0.3 * length), state.longest)
+    length = jnp.where(good, longer, length / factor)
+    return Reach(length, newton.weight / factor**2)
+
+
+def blind_reach(
+    transcription: Transcription, before: SCPState, after: SCPState, far: float
+) -> Reach:
+    """How far Newton's steps may go where no penalized cost is asked.
+
+    Their weight is that of Levenberg and Marquardt, which vanishes with the residual. It
+    is light, for long steps along directions that the cost hardly sees, as of a
+    quadrotor's yaw, where the residual fell; where such a step has raised it, heavy, to
+    take the side effects back first.
+    """
+    residual = after.optimality
+    settled = residual <= before.optimality
+    factor = jnp.where(settled, 1e-4, 0.3)
+    # Steps too long for the Lagrangian's curvature, though no merit function saw it.
+    worse = before.near & ~before.iterate.fresh
+    worse &= residual > jnp.maximum(3.0 * before.optimality, far)
+    length = jnp.where(worse, 0.25, 1.0) * before.reach.length
+    return Reach(length, factor * residual * transcription.nodes)
 
 
 def _is_right(ratio: Scalar) -> Array:
