@@ -31,6 +31,9 @@ _HEAVIER = 4.0
 _CLOSE = 1.6
 # Of the length allowed.
 _OVERLONG = 1.2
+# Limits that say nearly the same, as those at and next to a node, may contradict each
+# other by so much.
+_SLACK = 1e-8
 
 
 class NewtonStep(eqx.Module):
@@ -108,7 +111,7 @@ def active_set_step(
         sides = _sides(model, limits, solution, solution.step, precision)
         same = jax.tree.map(lambda a, b: jnp.all(a == b), sides, at.sides)
         same = jnp.all(jnp.stack(jax.tree.leaves(same)))
-        right = ~light & (gap <= jnp.maximum(precision, 1e-8)) & same
+        right = ~light & (gap <= jnp.maximum(precision, _SLACK)) & same
         solution = eqx.tree_at(lambda s: s.effort.solved, solution, right)
         this = NewtonStep(solution, at.weight, length)
         lost = ~light & ~right & (at.tries + 1 >= _TRIES)

@@ -119,7 +119,7 @@ class PaperSCP(AbstractSCP):
             iterations=state.iterations + judgement.accepted,
             polish=state.polish,
             near=state.near,
-            longest=state.longest,
+            reach=state.reach,
             own=judgement.accepted,
         )
 

@@ -23,8 +23,8 @@ from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
 from ._subproblem_data import Prices
 from ._transcription import Residuals, Transcription, Variables
 from ._tree import tree_where
-from ._trust_region import blind_reach, hold_active, metric, next_radius, next_reach
-from ._types import Array, Scalar
+from ._trust_region import blind_reach, metric, next_radius, next_reach
+from ._types import Array
 
 
 class ProximalSCP(AbstractSCP):
@@ -116,7 +116,7 @@ class ProximalSCP(AbstractSCP):
             optimality=jnp.where(begun, gap.residual, jnp.inf),
         )
         near = begun & self._is_near(after, gap)
-        blind = blind_reach(transcription, state, after, self.far)
+        blind = blind_reach(transcription, state, after)
         reach = tree_where(near, blind, state.reach)
         after = dataclasses.replace(after, near=near, reach=reach)
         return jax.lax.cond(
@@ -157,8 +157,8 @@ class ProximalSCP(AbstractSCP):
 
     def _iterate(self, transcription: Transcription, state: SCPState) -> SCPState:
         curvatures = self._curvatures(transcription, state)
-        measure = metric(transcription, state, curvatures, self._is_sound(state))
-        parts = (curvatures, measure, hold_active(transcription, state))
+        sound = self._is_sound(state)
+        parts = curvatures, metric(transcription, state, curvatures, sound)
         poor = jnp.asarray(self.correction_ratio if self.correction else -jnp.inf)
         found, judgement = search(
             transcription,
@@ -209,13 +209,11 @@ class ProximalSCP(AbstractSCP):
         around: Residuals,
         curvatures: tuple[Curvature, Curvature],
         measure: Damping,
-        held: Damping,
     ) -> tuple[SubproblemSolution, Model, NewtonStep]:
         """Newton's step, along the constraints that were active, where there is one; that
         of the convex model elsewhere."""
         derivatives = state.iterate.derivatives
         convex, exact = (Model(around, derivatives, each) for each in curvatures)
-        # Next to a solution that of a QP, held to the active constraints, is exact, too.
         limits = step_limits(transcription, state.scaling, state.iterate.variables)
         weight, last = 1.0 / state.radius, state.solution
         newton = NewtonStep.none(last, weight)

@@ -87,9 +87,10 @@ class PIQP(eqx.Module):
 
 
 class Workspace:
-    """A PIQP instance for one sparsity pattern: set up once, then only updated.
+    """A PIQP instance for one sparsity pattern: what it solved before changes nothing.
 
-    The symbolic factorization of the setup costs as much as a solve.
+    By stages it is set up once, then only updated: the symbolic factorization of the
+    setup costs as much as a solve.
 
     **Arguments:**
 
@@ -99,6 +100,8 @@ class Workspace:
 
     def __init__(self, settings: PIQP, *, multistage: bool):
         self._ready = False
+        # An update takes the equilibration out of the old numbers and leaves rounding.
+        self._lasts = multistage
         self._solver = piqp.SparseSolver()
         options, backends = self._solver.settings, piqp.KKTSolver
         options.kkt_solver = (
@@ -130,7 +133,7 @@ class Workspace:
         options.eps_abs = options.eps_duality_gap_abs = exact
         change = self._solver.update if self._ready else self._solver.setup
         change(qp.P, qp.c, qp.A, qp.b, qp.G, None, qp.h, qp.lower, qp.upper)
-        self._ready = True
+        self._ready = self._lasts
         self._solver.solve()
         result, info = self._solver.result, self._solver.result.info
         return QPSolution(

@@ -13,7 +13,6 @@ import jax
 import jax.numpy as jnp
 
 from ._active_set import NewtonStep
-from ._constraints import integral_limits
 from ._curvature import Curvature, magnitude
 from ._damping import Damping
 from ._state import Judgement, Reach, SCPState
@@ -54,31 +53,6 @@ def metric(
         lambda: plain.measure,
     )
     return dataclasses.replace(plain, measure=doubt)
-
-
-def hold_active(transcription: Transcription, state: SCPState) -> Damping:
-    """What draws a polishing step to the constraints that were active.
-
-    The Lagrangian need only be convex along them.
-    """
-    last, near = state.solution, state.near
-
-    def firm(multiplier: Array) -> Array:
-        size = jnp.abs(multiplier)
-        # PIQP leaves traces on limits that are not active.
-        return jnp.minimum(jnp.where(near & (size > 1e-7), 100.0 * size, 0.0), 1e3)
-
-    states = jnp.where(transcription.fixed_states, 0.0, last.state)
-    step = Variables(firm(states), firm(last.control), jnp.zeros_like(last.final_time))
-    lower, upper = integral_limits(transcription, state.scaling)
-    active = jnp.where(last.multipliers.integral > 0.0, upper, lower)
-    return dataclasses.replace(
-        Damping.of(state.iterate.residuals, step),
-        path=firm(last.multipliers.path),
-        between=firm(last.multipliers.between),
-        integral=firm(last.multipliers.integral),
-        target=jnp.where(jnp.isfinite(active), active, 0.0),
-    )
 
 
 def next_radius(
@@ -126,9 +100,7 @@ def next_reach(
     return Reach(length, newton.weight / factor**2)
 
 
-def blind_reach(
-    transcription: Transcription, before: SCPState, after: SCPState, far: float
-) -> Reach:
+def blind_reach(transcription: Transcription, before: SCPState, after: SCPState) -> Reach:
     """How far Newton's steps may go where no penalized cost is asked.
 
     Their weight is that of Levenberg and Marquardt, which vanishes with the residual. It
@@ -139,11 +111,15 @@ def blind_reach(
     residual = after.optimality
     settled = residual <= before.optimality
     factor = jnp.where(settled, 1e-4, 0.3)
-    # Steps too long for the Lagrangian's curvature, though no merit function saw it.
-    worse = before.near & ~before.iterate.fresh
-    worse &= residual > jnp.maximum(3.0 * before.optimality, far)
-    length = jnp.where(worse, 0.25, 1.0) * before.reach.length
+    # A step squares the residual: what is above its root takes several to take back.
+    worse = residual > jnp.maximum(3.0 * before.optimality, _root(before.optimality))
+    worse &= before.near & ~before.iterate.fresh
+    length = jnp.where(worse, 0.1, 1.0) * before.reach.length
     return Reach(length, factor * residual * transcription.nodes)
+
+
+def _root(residual: Scalar) -> Scalar:
+    return 0.3 * jnp.sqrt(residual)
 
 
 def _is_right(ratio: Scalar) -> Array:

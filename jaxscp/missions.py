@@ -52,8 +52,8 @@ _MISSIONS = {
     "free-space-70MB-60dB": (False, 70, _SNR_60_DB),
     "urban-30MB-60dB": (True, 30, _SNR_60_DB),
 }
-# Where limits hold, as parts of each interval watched: an interval has room for one peak.
-ENFORCED = {"nodes": 0, "between": 1}
+# Where limits hold, as parts of each interval watched: a part has room for one peak.
+ENFORCED = {"nodes": 0, "between": 2}
 # Time grids.
 GRIDS = {
     "uniform": Discretization(),

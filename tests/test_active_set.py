@@ -44,7 +44,7 @@ PRECISION = 1e-11
 
 
 @quick_jit
-def newton_step(model, metric, limits, last, weight=1.0, longest=np.inf, insist=False):
+def newton_step(model, metric, limits, last, weight=1.0, longest=np.inf, heaviest=0.0):
     return active_set_step(
         model,
         metric,
@@ -53,7 +53,7 @@ def newton_step(model, metric, limits, last, weight=1.0, longest=np.inf, insist=
         jnp.asarray(PRECISION),
         weight=jnp.asarray(weight),
         longest=jnp.asarray(longest),
-        insist=jnp.asarray(insist),
+        heaviest=jnp.asarray(heaviest),
     )
 
 
@@ -335,7 +335,7 @@ def test_steps_are_as_long_as_they_may_be(share):
     whole = newton_step(*free)
     assert bool(whole.found)
     longest = share * float(whole.length)
-    found = newton_step(*free, longest=longest, insist=True)
+    found = newton_step(*free, longest=longest, heaviest=np.inf)
     assert bool(found.found)
     assert float(found.weight) > 1.0
     assert 0.3 * longest < float(found.length) <= 1.2 * longest
