@@ -31,9 +31,6 @@ _HEAVIER = 4.0
 _CLOSE = 1.6
 # Of the length allowed.
 _OVERLONG = 1.2
-# Limits that say nearly the same, as those at and next to a node, may contradict each
-# other by so much.
-_SLACK = 1e-8
 
 
 class NewtonStep(eqx.Module):
@@ -83,6 +80,7 @@ def active_set_step(
     weight: Scalar,
     longest: Scalar,
     heaviest: Scalar,
+    slack: float,
 ) -> NewtonStep:
     """The step of a subproblem, from the active constraints of the one before.
 
@@ -95,6 +93,8 @@ def active_set_step(
         of several limits that say nearly the same are active is then left open.
     - `heaviest`: weight that is worth trying where the active constraints are not found:
         for short enough steps they are those of the one before.
+    - `slack`: gap that may remain: limits that say nearly the same, as those at and next
+        to a node, contradict each other a little.
     """
     still = jax.tree.map(jnp.zeros_like, last.step)
     first = _sides(model, limits, last, still, precision)
@@ -111,7 +111,7 @@ def active_set_step(
         sides = _sides(model, limits, solution, solution.step, precision)
         same = jax.tree.map(lambda a, b: jnp.all(a == b), sides, at.sides)
         same = jnp.all(jnp.stack(jax.tree.leaves(same)))
-        right = ~light & (gap <= jnp.maximum(precision, _SLACK)) & same
+        right = ~light & (gap <= jnp.maximum(precision, slack)) & same
         solution = eqx.tree_at(lambda s: s.effort.solved, solution, right)
         this = NewtonStep(solution, at.weight, length)
         lost = ~light & ~right & (at.tries + 1 >= _TRIES)

@@ -230,6 +230,7 @@ class ProximalSCP(AbstractSCP):
                     longest=state.reach.length,
                     # A convex subproblem's step is better than a short one.
                     heaviest=jnp.where(state.near, jnp.inf, weight),
+                    slack=self.tolerance,
                 ),
                 lambda: newton,
             )

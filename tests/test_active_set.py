@@ -54,6 +54,7 @@ def newton_step(model, metric, limits, last, weight=1.0, longest=np.inf, heavies
         weight=jnp.asarray(weight),
         longest=jnp.asarray(longest),
         heaviest=jnp.asarray(heaviest),
+        slack=0.0,
     )
 
 
@@ -291,8 +292,10 @@ def test_a_wrong_guess_is_mended_or_refused(case):
         size = 10.0 ** draw.uniform(-2.0, 1.5)
         wrong = drawn(functools.partial(draw.normal, 0.0, size), case.solution)
         wrong = dataclasses.replace(wrong, effort=case.solution.effort)
-        found = step_from(case.model, case.damping, case.limits, wrong)
-        if bool(found.effort.solved):
+        newton = newton_step(case.model, case.damping, case.limits, wrong)
+        found = newton.solution
+        # Where a wrong guess looked like a saddle the weight is another one.
+        if bool(newton.found) and float(newton.weight) == 1.0:
             check_same(found, case.solution, atol=1e-6)
             mended += 1
     assert mended < 20

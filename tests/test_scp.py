@@ -193,7 +193,11 @@ def test_ratio_tends_to_one_as_the_radius_shrinks(name):
         start = step(method, TRANSCRIPTION, start)
     misses = []
     for radius in (1e-1, 1e-2, 1e-3, 1e-4):
-        state = eqx.tree_at(lambda s: s.radius, start, jnp.asarray(radius, float))
+        state = eqx.tree_at(
+            lambda s: (s.radius, s.reach.weight),
+            start,
+            (jnp.asarray(radius, float), jnp.asarray(1.0 / radius)),
+        )
         after = step(method, TRANSCRIPTION, state)
         misses.append(abs(1.0 - float(after.history.ratio[int(state.records)])))
     assert misses[-1] < 1e-2
