@@ -7,7 +7,6 @@ primal-dual active set method. Hintermueller, Ito, Kunisch, SIAM Journal on Opti
 13 (2002).
 """
 
-import dataclasses
 import functools
 
 import equinox as eqx
@@ -134,9 +133,7 @@ def active_set_step(
     none = jnp.zeros((), int)
     nothing = NewtonStep.none(last, weight)
     begun = _Attempt(first, weight, jnp.zeros(()), nothing, none, none)
-    done = jax.lax.while_loop(unfinished, again, begun)
-    reached = jnp.where(done.best.found, done.best.weight, done.weight)
-    return dataclasses.replace(done.best, weight=reached)
+    return jax.lax.while_loop(unfinished, again, begun).best
 
 
 def _sides(

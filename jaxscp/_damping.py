@@ -46,18 +46,9 @@ class Damping(eqx.Module):
 
     def times(self, factor: Array) -> "Damping":
         """With every weight multiplied."""
-        return self._weighing(jax.tree.map(lambda w: factor * w, self._weights))
-
-    def plus(self, other: "Damping") -> "Damping":
-        """Both, the targets being this one's."""
-        return self._weighing(jax.tree.map(jnp.add, self._weights, other._weights))
-
-    @property
-    def _weights(self) -> tuple[Variables, Array, Array, Array, Array]:
-        return self.step, self.path, self.between, self.integral, self.measure
-
-    def _weighing(self, weights: tuple[Variables, Array, Array, Array, Array]):
-        step, path, between, integral, measure = weights
+        parts = (self.step, self.path, self.between, self.integral, self.measure)
+        scaled = jax.tree.map(lambda weight: factor * weight, parts)
+        step, path, between, integral, measure = scaled
         return Damping(step, path, between, integral, self.centre, self.target, measure)
 
     def length(self, step: Variables) -> Array:

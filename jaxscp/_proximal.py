@@ -156,8 +156,8 @@ class ProximalSCP(AbstractSCP):
         return ready & (state.near | state.own) & (state.optimality < self.close)
 
     def _iterate(self, transcription: Transcription, state: SCPState) -> SCPState:
-        curvatures = self._curvatures(transcription, state)
         sound = self._is_sound(state)
+        curvatures = self._curvatures(transcription, state, sound)
         parts = curvatures, metric(transcription, state, curvatures, sound)
         poor = jnp.asarray(self.correction_ratio if self.correction else -jnp.inf)
         found, judgement = search(
@@ -180,9 +180,9 @@ class ProximalSCP(AbstractSCP):
         return self._advance(transcription, state, found, judgement)
 
     def _curvatures(
-        self, transcription: Transcription, state: SCPState
+        self, transcription: Transcription, state: SCPState, sound: Array
     ) -> tuple[Curvature, Curvature]:
-        """A convex curvature, and one with all of the Lagrangian's."""
+        """A convex curvature, and one with all of the Lagrangian's where it is sound."""
         iterate, multipliers = state.iterate, state.solution.multipliers
         point = (transcription, state.scaling, iterate.variables)
         share = 0.0 if self.curvature == "cost" else 1.0
@@ -199,7 +199,6 @@ class ProximalSCP(AbstractSCP):
                 steps = jnp.maximum((steps + 1) // 2, settings.least_substeps)
             return exact_curvature(*point, steps, multipliers)
 
-        sound = self._is_sound(state)
         return convex, jax.lax.cond(sound, with_dynamics, lambda: convex)
 
     def _solve(

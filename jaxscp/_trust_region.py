@@ -108,18 +108,14 @@ def blind_reach(transcription: Transcription, before: SCPState, after: SCPState)
     quadrotor's yaw, where the residual fell; where such a step has raised it, heavy, to
     take the side effects back first.
     """
-    residual = after.optimality
-    settled = residual <= before.optimality
+    residual, earlier = after.optimality, before.optimality
+    settled = residual <= earlier
     factor = jnp.where(settled, 1e-4, 0.3)
     # A step squares the residual: what is above its root takes several to take back.
-    worse = residual > jnp.maximum(3.0 * before.optimality, _root(before.optimality))
+    worse = residual > jnp.maximum(3.0 * earlier, 0.3 * jnp.sqrt(earlier))
     worse &= before.near & ~before.iterate.fresh
     length = jnp.where(worse, 0.1, 1.0) * before.reach.length
     return Reach(length, factor * residual * transcription.nodes)
-
-
-def _root(residual: Scalar) -> Scalar:
-    return 0.3 * jnp.sqrt(residual)
 
 
 def _is_right(ratio: Scalar) -> Array:
