@@ -13,6 +13,7 @@ from jaxscp import missions
 
 from .report import HEADINGS, cells, facts_of
 from .timing import timed_solve
+from .variants import HardBall, SmoothMerit
 
 VARIANTS = {
     "default": jaxscp.ProximalSCP(),
@@ -20,6 +21,8 @@ VARIANTS = {
     "no second-order correction": jaxscp.ProximalSCP(correction=False),
     "curvature without the dynamics'": jaxscp.ProximalSCP(curvature="nodes"),
     "curvature of the cost only": jaxscp.ProximalSCP(curvature="cost"),
+    "hard norm ball": HardBall(),
+    "merit: augmented Lagrangian (SCvx*)": SmoothMerit(),
     "the paper's Algorithm 1": jaxscp.PaperSCP(),
 }
 MISSIONS = ("free-flight", "urban-flight", "free-space-30MB-60dB", "urban-30MB-60dB")

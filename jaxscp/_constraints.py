@@ -1,4 +1,4 @@
-"""How far constraints are from being met, and what the exact penalty makes of it."""
+"""How far constraints are from being met."""
 
 import jax.numpy as jnp
 
@@ -38,17 +38,3 @@ def largest_buffer(broken: PerConstraint) -> Scalar:
 def worst_violation(residuals: Residuals, limits: tuple[Array, Array]) -> Scalar:
     """Largest violation of any constraint."""
     return max_norm(violations(residuals, limits))
-
-
-def penalized_cost(
-    residuals: Residuals, limits: tuple[Array, Array], weights: PerConstraint
-) -> Scalar:
-    """Cost plus the weighted L1 norm of all violations: the exact penalty."""
-    broken = violations(residuals, limits)
-    return (
-        residuals.objective
-        + jnp.vdot(weights.dynamics, broken.dynamics)
-        + jnp.vdot(weights.path, broken.path)
-        + jnp.vdot(weights.between, broken.between)
-        + jnp.vdot(weights.integral, broken.integral)
-    )

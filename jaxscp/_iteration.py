@@ -9,11 +9,10 @@ import jax.numpy as jnp
 from ._constraints import (
     integral_limits,
     largest_buffer,
-    penalized_cost,
     violations,
 )
 from ._discretization import Discretization
-from ._per_constraint import PerConstraint
+from ._merit import AbstractMerit
 from ._scaling import Scaling, automatic_scaling
 from ._state import History, Iterate, Judgement, Reach, SCPState, Trial
 from ._subproblem import SubproblemSolution
@@ -59,6 +58,7 @@ def start(
     transcription: Transcription,
     guess: Variables,
     nothing: SubproblemSolution,
+    merit: AbstractMerit,
     *,
     radius: float,
     ceiling: float,
@@ -84,7 +84,7 @@ def start(
         iterate=iterate,
         scaling=automatic_scaling(transcription, guess),
         solution=nothing,
-        weights=nothing.multipliers,
+        merit=merit,
         ceiling=jnp.asarray(ceiling),
         radius=jnp.asarray(radius),
         reach=Reach(jnp.asarray(jnp.inf), jnp.asarray(1.0 / radius)),
@@ -109,7 +109,7 @@ def try_step(
     scaling: Scaling,
     iterate: Iterate,
     solution: SubproblemSolution,
-    weights: PerConstraint,
+    merit: AbstractMerit,
 ) -> Trial:
     """Evaluate the discrete problem where a subproblem's step leads."""
     variables = scaling.move(iterate.variables, solution.step)
@@ -127,7 +127,7 @@ def try_step(
     )
     error = difference / ((fine / coarse) ** 4 - 1.0)
     limits = integral_limits(transcription, scaling)
-    cost = penalized_cost(residuals, limits, weights)
+    cost = merit.cost(residuals, limits)
     # A step into a singularity is a bad step, not a broken solve.
     cost = jnp.where(jnp.isnan(cost), jnp.inf, cost)
     return Trial(solution, variables, residuals, cost, error)
@@ -164,7 +164,7 @@ def advance(
     trial: Trial,
     judgement: Judgement,
     *,
-    weights: PerConstraint,
+    merit: AbstractMerit,
     ceiling: Scalar,
     radius: Scalar,
     stationary: Array,
@@ -208,7 +208,7 @@ def advance(
         state,
         iterate=iterate,
         solution=trial.solution,
-        weights=weights,
+        merit=merit,
         ceiling=ceiling,
         radius=radius,
         history=history,

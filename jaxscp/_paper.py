@@ -6,11 +6,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._constraints import integral_limits, penalized_cost
+from ._constraints import integral_limits
 from ._damping import Damping
 from ._iteration import advance, is_finite, judge, linearized, start, try_step
 from ._lagrangian import node_shares
 from ._layout import Structure
+from ._merit import ExactPenalty
 from ._model import Model, nodewise_curvature
 from ._per_constraint import PerConstraint
 from ._qp import PIQP
@@ -75,10 +76,12 @@ class PaperSCP(AbstractSCP):
             raise ValueError(f"alpha={self.alpha}: need alpha > 1.")
 
     def init(self, transcription: Transcription, guess: Variables) -> SCPState:
+        nothing = SubproblemSolution.none(self._structure(transcription))
         return start(
             transcription,
             guess,
-            SubproblemSolution.none(self._structure(transcription)),
+            nothing,
+            ExactPenalty(nothing.multipliers),
             radius=self.initial_radius,
             ceiling=self.penalty,
             # Rejected steps are recorded too.
@@ -89,7 +92,7 @@ class PaperSCP(AbstractSCP):
         iterate = linearized(transcription, state.scaling, state.iterate)
         state = dataclasses.replace(state, iterate=iterate, finite=is_finite(iterate))
         limits = integral_limits(transcription, state.scaling)
-        weights = self._weights(transcription, state)
+        merit = ExactPenalty(self._weights(transcription, state))
         # The paper's model has the cost's own curvature and nobody else's.
         curvature = nodewise_curvature(
             transcription,
@@ -98,11 +101,11 @@ class PaperSCP(AbstractSCP):
             transcription.no_multipliers,
         )
         model = Model(iterate.residuals, iterate.derivatives, curvature)
-        solution = self._solve(transcription, state, model, weights)
-        reference = penalized_cost(iterate.residuals, limits, weights)
-        expected = penalized_cost(model.predict(solution.step), limits, weights)
+        solution = self._solve(transcription, state, model, merit.weights)
+        reference = merit.cost(iterate.residuals, limits)
+        expected = merit.cost(model.predict(solution.step), limits)
         predicted = reference - expected
-        trial = try_step(transcription, state.scaling, iterate, solution, weights)
+        trial = try_step(transcription, state.scaling, iterate, solution, merit)
         judgement = judge(reference, predicted, trial, self.rho_0)
         ratio, radius = judgement.ratio, state.radius
         radius = jnp.where(ratio < self.rho_1, radius / self.alpha, radius)
@@ -112,7 +115,7 @@ class PaperSCP(AbstractSCP):
             state,
             trial,
             judgement,
-            weights=weights,
+            merit=merit,
             ceiling=state.ceiling,
             radius=radius,
             stationary=predicted <= self.tolerance,

@@ -12,15 +12,15 @@ from ._curvature import Curvature
 from ._damping import Damping
 from ._iteration import advance, is_finite, linearized, start
 from ._layout import Structure
+from ._merit import ExactPenalty
 from ._model import Model, exact_curvature, nodewise_curvature
 from ._optimality import Optimality, optimality
-from ._penalty_weights import following
 from ._qp import PIQP
 from ._scp import AbstractSCP
 from ._search import Search, search
 from ._state import Judgement, SCPState
 from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
-from ._subproblem_data import Prices
+from ._subproblem_data import Limits, Prices
 from ._transcription import Residuals, Transcription, Variables
 from ._tree import tree_where
 from ._trust_region import blind_reach, metric, next_radius, next_reach
@@ -96,10 +96,12 @@ class ProximalSCP(AbstractSCP):
             )
 
     def init(self, transcription: Transcription, guess: Variables) -> SCPState:
+        nothing = SubproblemSolution.none(Structure.of(transcription))
         return start(
             transcription,
             guess,
-            SubproblemSolution.none(Structure.of(transcription)),
+            nothing,
+            ExactPenalty(nothing.multipliers),
             radius=1.0 / self.initial_weight,
             ceiling=self.initial_ceiling,
             records=self.max_iterations + self.max_polish,
@@ -164,7 +166,7 @@ class ProximalSCP(AbstractSCP):
             transcription,
             state,
             solve=lambda around: self._solve(transcription, state, around, *parts),
-            follow=lambda to: following(state.weights, to, state.ceiling),
+            follow=lambda to: state.merit.following(to, state.ceiling),
             accept_ratio=self.accept_ratio,
             # Of a polishing step what counts is whether it stays feasible.
             correction_ratio=jnp.where(state.near, -jnp.inf, poor),
@@ -233,16 +235,27 @@ class ProximalSCP(AbstractSCP):
                 ),
                 lambda: newton,
             )
-
-        def by_qp() -> SubproblemSolution:
-            damping = measure.times(weight)
-            structure = Structure.of(transcription)
-            prices = self._prices(structure, state)
-            args = (structure, self.qp, convex, damping, prices, limits)
-            return solve_subproblem(*args)
-
-        solution = jax.lax.cond(newton.found, lambda: newton.solution, by_qp)
+        solution = jax.lax.cond(
+            newton.found,
+            lambda: newton.solution,
+            lambda: self._by_qp(transcription, state, convex, measure, limits),
+        )
         return solution, tree_where(newton.found, exact, convex), newton
+
+    def _by_qp(
+        self,
+        transcription: Transcription,
+        state: SCPState,
+        model: Model,
+        measure: Damping,
+        limits: Limits,
+    ) -> SubproblemSolution:
+        structure, damping = (
+            Structure.of(transcription),
+            measure.times(1.0 / state.radius),
+        )
+        prices = self._prices(structure, state)
+        return solve_subproblem(structure, self.qp, model, damping, prices, limits)
 
     def _prices(self, structure: Structure, state: SCPState) -> Prices:
         residuals, ceiling = state.iterate.residuals, state.ceiling
@@ -303,7 +316,7 @@ class ProximalSCP(AbstractSCP):
             state,
             trial,
             judgement,
-            weights=found.weights,
+            merit=found.merit,
             ceiling=ceiling,
             radius=jnp.minimum(radius, self.max_radius),
             stationary=stationary & (~infeasible | bought) & ~cheap,

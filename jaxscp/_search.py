@@ -8,8 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from ._active_set import NewtonStep
-from ._constraints import integral_limits, penalized_cost, worst_violation
+from ._constraints import integral_limits, worst_violation
 from ._iteration import judge, try_step
+from ._merit import AbstractMerit
 from ._model import Model
 from ._per_constraint import PerConstraint
 from ._state import Judgement, SCPState, Trial
@@ -23,14 +24,14 @@ class Search(eqx.Module):
     """One or two passes for a step.
 
     - `around`: the residuals the next subproblem is built on.
-    - `weights`: of the exact penalty.
+    - `merit`: which judges the step.
     - `expected`: residuals the model predicts for the uncorrected step.
     - `best`: the better trial so far. `newton`: of the first pass.
     """
 
     passes: Array
     around: Residuals
-    weights: PerConstraint
+    merit: AbstractMerit
     expected: Residuals
     best: Trial
     newton: NewtonStep
@@ -40,7 +41,7 @@ def search(
     transcription: Transcription,
     state: SCPState,
     solve: Callable[[Residuals], tuple[SubproblemSolution, Model, NewtonStep]],
-    follow: Callable[[PerConstraint], PerConstraint],
+    follow: Callable[[PerConstraint], AbstractMerit],
     *,
     accept_ratio: float,
     correction_ratio: Array,
@@ -56,7 +57,7 @@ def search(
     **Arguments:**
 
     - `solve`: the subproblem around some residuals, the model it took with those of the
-        reference, and Newton's step. `follow`: penalty weights from multipliers.
+        reference, and Newton's step. `follow`: the merit, from multipliers.
     - `accept_ratio`: as in the ratio test. `correction_ratio`: below it a step is poor.
     - `feasibility`: a step that violates a constraint by more is poor, too.
     """
@@ -64,8 +65,8 @@ def search(
     here = state.iterate.residuals
 
     def judged(found: Search) -> Judgement:
-        reference = penalized_cost(here, limits, found.weights)
-        expected = penalized_cost(found.expected, limits, found.weights)
+        reference = found.merit.cost(here, limits)
+        expected = found.merit.cost(found.expected, limits)
         return judge(reference, reference - expected, found.best, accept_ratio)
 
     def again(found: Search) -> Array:
@@ -78,9 +79,9 @@ def search(
         first, best = found.passes == 0, found.best
         solution, model, newton = solve(found.around)
         solution = _or_stay(solution, state.solution)
-        weights = tree_where(first, follow(solution.multipliers), found.weights)
+        merit = tree_where(first, follow(solution.multipliers), found.merit)
         expected = tree_where(first, model.predict(solution.step), found.expected)
-        trial = try_step(transcription, state.scaling, state.iterate, solution, weights)
+        trial = try_step(transcription, state.scaling, state.iterate, solution, merit)
         better = first | (solution.effort.solved & (trial.cost < best.cost))
         chosen = dataclasses.replace(
             tree_where(better, trial, best),
@@ -89,13 +90,13 @@ def search(
         around = _corrected(here, trial.residuals, expected)
         newton = tree_where(first, newton, found.newton)
         passes = found.passes + 1
-        return Search(passes, around, weights, expected, chosen, newton)
+        return Search(passes, around, merit, expected, chosen, newton)
 
     zero = jnp.zeros(())
     nowhere = Trial(state.solution, state.iterate.variables, here, zero + jnp.inf, zero)
     newton = NewtonStep.none(state.solution, zero)
     passes = jnp.zeros((), int)
-    found = Search(passes, here, state.weights, here, nowhere, newton)
+    found = Search(passes, here, state.merit, here, nowhere, newton)
     found = jax.lax.while_loop(again, attempt, found)
     return found, judged(found)
 

@@ -3,7 +3,7 @@
 import equinox as eqx
 import jax.numpy as jnp
 
-from ._per_constraint import PerConstraint
+from ._merit import AbstractMerit
 from ._scaling import Scaling
 from ._subproblem import SubproblemSolution
 from ._transcription import Derivatives, Residuals, Variables
@@ -30,7 +30,7 @@ class History(eqx.Module):
     """One number for each subproblem solved, in order; NaN beyond the last.
 
     - `objective`: of the step tried, in its own unit.
-    - `penalized_cost`: of the reference, scaled, with the weights then in force.
+    - `penalized_cost`: of the reference, scaled, as the merit then in force has it.
     - `predicted_reduction`, `actual_reduction`, `ratio`: of the penalized cost.
     - `radius`: of the trust region; the inverse weight where it is a proximal term.
     - `defect`: largest dynamics defect of the step tried, relative to the state scales.
@@ -76,7 +76,7 @@ class Reach(eqx.Module):
 class SCPState(eqx.Module):
     """Everything an SCP method carries from one iteration to the next.
 
-    - `weights`: of the exact penalty. `ceiling`: price of virtual variables.
+    - `merit`: which judges steps. `ceiling`: price of virtual variables.
     - `radius`: as in [`History`][]. `reach`: of Newton's steps.
     - `own`: whether the multipliers belong to the reference, not to a step refused.
     - `records`: entries in the history. `iterations`: those the method's limit counts,
@@ -92,7 +92,7 @@ class SCPState(eqx.Module):
     iterate: Iterate
     scaling: Scaling
     solution: SubproblemSolution
-    weights: PerConstraint
+    merit: AbstractMerit
     ceiling: Scalar
     radius: Scalar
     reach: Reach

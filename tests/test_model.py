@@ -27,11 +27,11 @@ from random_models import random_scaling
 
 from jaxscp._constraints import (
     largest_buffer,
-    penalized_cost,
     violations,
     worst_violation,
 )
 from jaxscp._curvature import Curvature
+from jaxscp._merit import ExactPenalty
 from jaxscp._model import Model
 from jaxscp._per_constraint import PerConstraint
 from jaxscp._transcription import Residuals
@@ -162,7 +162,7 @@ def test_the_exact_penalty_by_hand():
         integral=jnp.array([1.0, 2.0, 3.0]),
     )
     # 7 + (5 + 5) + 3 + (1 + 2) + (0.25 + 2)
-    assert_allclose(penalized_cost(residuals, limits, weights), 25.25)
+    assert_allclose(ExactPenalty(weights).cost(residuals, limits), 25.25)
     worst = dataclasses.replace(residuals, defects=jnp.array([[0.5], [-4.0]]))
     assert worst_violation(worst, limits) == 4.0
     peak = dataclasses.replace(broken, between=jnp.array([[0.5, 0.0], [1.5, 0.0]]))

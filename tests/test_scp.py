@@ -16,10 +16,10 @@ import jaxscp
 from jaxscp import Bounds, Integral, OptimalControlProblem
 from jaxscp._constraints import (
     integral_limits,
-    penalized_cost,
     violations,
     worst_violation,
 )
+from jaxscp._merit import ExactPenalty
 from jaxscp._scp import run
 from jaxscp._state import SCPState
 from jaxscp._status import Status
@@ -228,7 +228,7 @@ def test_penalty_counts_each_violation_once():
     expected += float(np.maximum(np.asarray(residuals.path), 0).sum())
     expected += float(np.maximum(peaks, 0).sum())
     expected += max(-1.0 - total, 0.0)
-    assert float(penalized_cost(residuals, limits, weights)) == pytest.approx(expected)
+    assert float(ExactPenalty(weights).cost(residuals, limits)) == pytest.approx(expected)
 
 
 def test_paper_trust_region_holds_at_every_node():

@@ -39,8 +39,9 @@ from past_a_disc import (
 from random_models import random_limits, random_model
 from scipy.linalg import block_diag
 
-from jaxscp._constraints import penalized_cost, violations, worst_violation
+from jaxscp._constraints import violations, worst_violation
 from jaxscp._damping import Damping
+from jaxscp._merit import ExactPenalty
 from jaxscp._model import Model
 from jaxscp._qp import PIQP
 from jaxscp._subproblem import SubproblemSolution, solve_subproblem
@@ -440,6 +441,7 @@ def test_a_predicted_reduction_is_never_negative(seed):
         solution.multipliers,
     )
     limits, model = parts.limits.integral, parts.model
-    before = penalized_cost(model.residuals, limits, weights)
-    after = penalized_cost(predict(model, solution.step), limits, weights)
+    merit = ExactPenalty(weights)
+    before = merit.cost(model.residuals, limits)
+    after = merit.cost(predict(model, solution.step), limits)
     assert after <= before + 1e-6 * (1.0 + abs(before))
