@@ -20,6 +20,7 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 
+from ._continuation import continuation
 from ._discretization import Discretization
 from ._guess_plan import GuessPlan as GuessPlan
 from ._mission import Mission as Mission
@@ -27,9 +28,9 @@ from ._proximal import ProximalSCP
 from ._records import dotted_paths, from_dict, to_dict, with_entries
 from ._scp import AbstractSCP
 from ._solution import Solution
-from ._solve import solve as solve_problem
+from ._solve import SolveError, solve as solve_problem
 from ._trajectory import Trajectory
-from ._types import ArrayLike
+from ._types import Array, ArrayLike, is_concrete
 from .models.channel import Channel
 from .models.limits import Limits
 from .models.obstacles import Cylinders
@@ -61,6 +62,8 @@ GRIDS = {
 }
 # Of the nodes, where intervals are free and the plan says nothing.
 _FREE_TRANSIT_SHARE = 0.2
+# Shares of the data required that are asked for in turn where all at once lead nowhere.
+_DATA_STEPS = (0.25, 0.5, 0.75, 1.0)
 # Not numbers: they say what a mission is called.
 _LABELS = ("name", "summary")
 
@@ -108,7 +111,9 @@ def solve(
     """Solve a mission from its own guesses, and return the best solution.
 
     They lead past each building in the way on either side, as [`Mission.guesses`][] has
-    it; `Solution.attempts` tells what each led to.
+    it. Where none of them leads to convergence and data are required, these rise in
+    steps from a quarter, each solved from the one before: the last attempt.
+    `Solution.attempts` tells what each led to.
 
     **Arguments:**
 
@@ -125,14 +130,20 @@ def solve(
     """
     if enforce not in ENFORCED:
         raise ValueError(f"enforce={enforce!r}: choose 'nodes' or 'between'.")
-    return solve_problem(
-        mission.problem(),
-        guesses(mission, nodes, grid=grid),
-        method,
-        discretization=dataclasses.replace(GRIDS[grid], between=ENFORCED[enforce]),
-        progress=progress,
-        throw=throw,
-    )
+    starts = guesses(mission, nodes, grid=grid)
+    settings: dict[str, Any] = {
+        "method": method,
+        "discretization": dataclasses.replace(GRIDS[grid], between=ENFORCED[enforce]),
+        "progress": progress,
+    }
+    if not is_concrete(eqx.filter((mission, starts), eqx.is_array)):
+        return solve_problem(mission.problem(), starts, throw=throw, **settings)
+    solution = solve_problem(mission.problem(), starts, throw=False, **settings)
+    if not bool(solution.converged) and mission.data_required is not None:
+        solution = _with_rising_data(mission, starts[0].fractions, solution, settings)
+    if throw and not bool(solution.converged):
+        raise SolveError(solution)
+    return solution
 
 
 def guesses(
@@ -183,6 +194,26 @@ def replace_many(mission: Mission, changes: Mapping[str, Any]) -> Mission:
     entries = to_dict(mission)
     labels = {label: entries.pop(label) for label in _LABELS}
     return from_dict(Mission, with_entries(entries, changes) | labels)
+
+
+def _with_rising_data(
+    mission: Mission, fractions: Array, before: Solution, settings: dict[str, Any]
+) -> Solution:
+    """What asking for the data in steps leads to or, if nothing, the solution before."""
+    required = jnp.asarray(mission.data_required)
+    line = [
+        eqx.tree_at(lambda mission: mission.data_required, mission, share * required)
+        for share in _DATA_STEPS
+    ]
+    problems = [each.problem() for each in line]
+    *_, last = continuation(problems, line[0].guess(fractions), throw=False, **settings)
+    first, then = (
+        [dataclasses.replace(each, chosen=jnp.asarray(False)) for each in tried.attempts]
+        for tried in (before, last)
+    )
+    if bool(last.converged):
+        return dataclasses.replace(last, attempts=(*first, *last.attempts))
+    return dataclasses.replace(before, attempts=(*before.attempts, *then))
 
 
 def _buildings() -> Cylinders:

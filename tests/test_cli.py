@@ -112,7 +112,7 @@ def test_json_holds_the_contract(solved):
         assert set(violation) == {"value", "unit", "time"}
 
 
-def test_every_route_tried_is_reported(tmp_path, capsys, monkeypatch):
+def test_every_attempt_is_reported(tmp_path, capsys, monkeypatch):
     solve = missions.solve
 
     def another_way_too(*mission, **options):
@@ -130,10 +130,10 @@ def test_every_route_tried_is_reported(tmp_path, capsys, monkeypatch):
     path = tmp_path / "a.json"
     assert main([*QUICK, "--enforce", "nodes", "--json", str(path)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    first, second = (line for line in lines if line.startswith("route "))
-    assert first.startswith("route 1 ")
+    first, second = (line for line in lines if line.startswith("attempt "))
+    assert first.startswith("attempt 1 ")
     assert first.endswith(", chosen")
-    assert second.split()[:4] == ["route", "2", "12,345.68,", "iteration_limit,"]
+    assert second.split()[:4] == ["attempt", "2", "12,345.68,", "iteration_limit,"]
     report = json.loads(path.read_text())
     chosen, other = report["attempts"]
     assert chosen == {
@@ -152,11 +152,11 @@ def test_every_route_tried_is_reported(tmp_path, capsys, monkeypatch):
     }
 
 
-def test_progress_names_the_routes_after_the_first():
+def test_progress_numbers_the_attempts_after_the_first():
     numbers = dict.fromkeys(vars(History.empty(1)), 0.5)
     line = progress_line({"attempt": 1, "iteration": 1, **numbers})
     title, headings, _ = line.splitlines()
-    assert title == "route 2"
+    assert title == "attempt 2"
     assert headings.split()[0] == "iteration"
     first = progress_line({"attempt": 0, "iteration": 1, **numbers})
     assert first == line.partition("\n")[2]

@@ -14,11 +14,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from test_validation import compilations
 
 import jaxscp
-from jaxscp import Bounds, Integral, OptimalControlProblem, _qp
+from jaxscp import Bounds, Integral, OptimalControlProblem, _qp, missions
 from jaxscp._choice import best
 from jaxscp._diagnosis import Violations, explain
 
@@ -768,3 +769,95 @@ def test_the_last_sample_closes_the_flight():
 def test_samples_outside_the_flight(moments):
     with pytest.raises(ValueError, match=r"^times from .*: the flight lasts .* 0 to 4 s"):
         converged().sample(np.array(moments))
+
+
+def in_a_line(*limits, **options):
+    problems = [cart(travel=(0.0, limit)) for limit in limits]
+    return jaxscp.continuation(problems, nodes=NODES, **options)
+
+
+def test_each_starts_from_the_one_before():
+    converged()
+    with compilations() as compiled:
+        first, second = jaxscp.continuation([cart(), cart(force=3.9)], nodes=NODES)
+    assert not compiled
+    assert_allclose(first.objective, converged().objective, rtol=1e-12)
+    direct = solve(cart(force=3.9), first.trajectory)
+    assert eqx.tree_equal(second.trajectory, direct.trajectory)
+    # Nothing but the number of steps tells where it started.
+    assert int(second.statistics.iterations) < int(first.statistics.iterations)
+
+
+def test_what_fails_on_the_way_is_no_start():
+    # The integral of speed is the way, 3 m: the second cannot be.
+    first, second, third = in_a_line(50.0, 2.75, 50.0)
+    assert bool(first.converged)
+    assert bool(second.status == jaxscp.Status.virtual_buffer_remains)
+    assert eqx.tree_equal(third.trajectory, solve(cart(), first.trajectory).trajectory)
+
+
+def test_only_the_last_failure_raises():
+    solutions = in_a_line(2.75, 50.0)
+    assert [bool(solution.converged) for solution in solutions] == [False, True]
+    with pytest.raises(jaxscp.SolveError, match="travel misses its limit"):
+        in_a_line(50.0, 2.75)
+    assert not bool(in_a_line(50.0, 2.75, throw=False)[-1].converged)
+    with pytest.raises(ValueError, match=r"problems=\(\): give at least one\."):
+        in_a_line()
+
+
+@pytest.fixture
+def in_steps(monkeypatch):
+    """Missions' solves without the solving: the first fails, the line's end as told."""
+    asked = []
+    failed = solve(cart(travel=(0.0, 2.75)))
+
+    def given(ends_well):
+        last = converged() if ends_well else failed
+
+        def fake(problems, guess, **settings):
+            asked.append((problems, guess))
+            assert settings.pop("throw") is False
+            return failed, last
+
+        monkeypatch.setattr(missions, "solve_problem", lambda *_, **__: failed)
+        monkeypatch.setattr(missions, "continuation", fake)
+        return asked
+
+    return given
+
+
+def test_data_that_cannot_be_sent_at_once_rise_in_steps(in_steps):
+    asked = in_steps(ends_well=True)
+    mission = missions.get("free-space-30MB-60dB")
+    solution = missions.solve(mission, nodes=20)
+    ((problems, guess),) = asked
+    required = [float(each.integrals["data"].bounds.lower) for each in problems]
+    assert_allclose(required, 2.4e8 * np.array([0.25, 0.5, 0.75, 1.0]))
+    last, whole = (
+        jax.tree.leaves(eqx.filter(each, eqx.is_array))
+        for each in (problems[-1], mission.problem())
+    )
+    for ours, plain in zip(last, whole, strict=True):
+        assert_allclose(ours, plain, rtol=0)
+    assert_allclose(guess.fractions, mission.guess(20).fractions)
+    assert float(guess.final_time) < float(mission.guess(20).final_time)
+    assert bool(solution.converged)
+    assert [bool(each.converged) for each in solution.attempts] == [False, True]
+    assert [bool(each.chosen) for each in solution.attempts] == [False, True]
+
+
+def test_where_steps_do_not_help_either_the_first_solution_is_told(in_steps):
+    in_steps(ends_well=False)
+    mission = missions.get("free-space-30MB-60dB")
+    with pytest.raises(jaxscp.SolveError, match="travel misses its limit") as raised:
+        missions.solve(mission, nodes=20)
+    attempts = raised.value.solution.attempts
+    assert [bool(each.chosen) for each in attempts] == [True, False]
+
+
+def test_missions_without_data_have_no_steps(in_steps):
+    asked = in_steps(ends_well=True)
+    solution = missions.solve(missions.get("free-flight"), nodes=20, throw=False)
+    assert not bool(solution.converged)
+    assert not asked

@@ -29,7 +29,7 @@ def as_json(
     `violations` come from the verification: intervals flown again from their nodes, and
     limits checked between the nodes too. `optimality` is the scaled residual of the
     optimality conditions, and `polished` whether it is within the tolerance. `attempts`
-    has an entry for each route tried; `verified` is null where it was not asked.
+    has an entry for each attempt; `verified` is null where it was not asked.
     """
     required = mission.data_required
     report = {
@@ -68,7 +68,7 @@ def table(
     verification: Verification,
     seconds: dict[str, float],
 ) -> str:
-    """The result for a person to read, about ten lines, and one for each route tried."""
+    """The result for a person to read, about ten lines, and one for each attempt."""
     statistics = solution.statistics
     rows = {
         "mission": mission.name,
@@ -87,7 +87,7 @@ def table(
     lines = [f"{name:15} {text}" for name, text in rows.items()]
     if len(solution.attempts) > 1:
         lines += [
-            f"{f'route {number}':15} {attempt}"
+            f"{f'attempt {number}':15} {attempt}"
             for number, attempt in enumerate(solution.attempts, 1)
         ]
     for name, worst in verification.violations.items():
@@ -101,7 +101,7 @@ def table(
 
 def progress_line(row: dict[str, Any]) -> str:
     """One iteration of a solve in progress; its first line carries the headings, from
-    the second route on under the route's number.
+    the second attempt on under the attempt's number.
     """
     columns = {
         "iteration": "d",
@@ -125,8 +125,8 @@ def progress_line(row: dict[str, Any]) -> str:
     # "penalized_cost" and its like are cut to their first words.
     headings = " ".join(f"{name.partition('_')[0]:>{width}}" for name in columns)
     attempt = int(row["attempt"])
-    route = f"route {attempt + 1}\n" if attempt else ""
-    return f"{route}{headings}\n{line}"
+    title = f"attempt {attempt + 1}\n" if attempt else ""
+    return f"{title}{headings}\n{line}"
 
 
 def position_error(verification: Verification) -> float:
