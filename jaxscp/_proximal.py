@@ -79,7 +79,7 @@ class ProximalSCP(AbstractSCP):
     min_progress: float = eqx.field(static=True, default=1e-4)
     # Residuals below which the multipliers are good enough for all of the curvature,
     # below which Newton's method needs no merit function, and from which it finds back.
-    close: float = eqx.field(static=True, default=1.0)
+    close: float = eqx.field(static=True, default=10.0)
     near: float = eqx.field(static=True, default=1e-6)
     far: float = eqx.field(static=True, default=1e-3)
     min_radius: float = eqx.field(static=True, default=1e-12)
