@@ -56,7 +56,9 @@ def measure(index: int, compiled: set, arguments: argparse.Namespace) -> dict:
     if structure not in compiled:
         compiled.add(structure)
         solution, seconds = solve(mission, arguments)
-    patient = None if bool(solution.converged) else with_further_guesses(mission, arguments)
+    patient = (
+        None if bool(solution.converged) else with_further_guesses(mission, arguments)
+    )
     verification = jaxscp.verify(
         mission.problem(), solution, between=arguments.enforce == "between"
     )
