@@ -13,6 +13,7 @@ from jaxscp import (
     AbstractHold,
     FirstOrderHold,
     OptimalControlProblem,
+    Solution,
     Trajectory,
     ZeroOrderHold,
     straight_line,
@@ -41,6 +42,12 @@ class Known:
     tolerance: float
     source: str
     guess: Callable[[OptimalControlProblem, int], Trajectory] = straight_line
+
+
+def steps(solution: Solution) -> int:
+    """Of the method, in all."""
+    statistics = solution.statistics
+    return int(statistics.iterations) + int(statistics.polish_iterations)
 
 
 def hypersensitive_optimum(start: float, end: float, duration: float) -> float:
