@@ -82,6 +82,8 @@ class ProximalSCP(AbstractSCP):
     close: float = eqx.field(static=True, default=10.0)
     near: float = eqx.field(static=True, default=1e-6)
     far: float = eqx.field(static=True, default=1e-3)
+    # Newton's longest step: of about the variables' scales, on the mean over the nodes.
+    longest: float = eqx.field(static=True, default=1.0)
     min_radius: float = eqx.field(static=True, default=1e-12)
     max_radius: float = eqx.field(static=True, default=1e9)
     max_failures: int = eqx.field(static=True, default=5)
@@ -228,7 +230,7 @@ class ProximalSCP(AbstractSCP):
                     last,
                     jnp.maximum(1e-3 * state.optimality, 1e-11),
                     weight=state.reach.weight,
-                    longest=state.reach.length,
+                    longest=jnp.minimum(state.reach.length, self.longest),
                     # A convex subproblem's step is better than a short one.
                     heaviest=jnp.where(state.near, jnp.inf, weight),
                     slack=self.tolerance,
