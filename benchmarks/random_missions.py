@@ -37,15 +37,21 @@ def solve(mission: missions.Mission, arguments: argparse.Namespace):
     return solution, time.process_time() - begun
 
 
+def check(
+    mission: missions.Mission, solution: jaxscp.Solution, arguments: argparse.Namespace
+) -> jaxscp.Verification:
+    """The solution flown again, and its limits checked where they were enforced."""
+    between = arguments.enforce == "between"
+    return jaxscp.verify(mission.problem(), solution, between=between)
+
+
 def with_further_guesses(
     mission: missions.Mission, arguments: argparse.Namespace
 ) -> bool:
     """Whether `missions.solve` finds a solution that holds."""
     options = {"enforce": arguments.enforce, "nodes": arguments.nodes}
     solution = missions.solve(mission, throw=False, **options)
-    between = arguments.enforce == "between"
-    verified = jaxscp.verify(mission.problem(), solution, between=between).verified
-    return bool(solution.converged) and verified
+    return bool(solution.converged) and check(mission, solution, arguments).verified
 
 
 def measure(index: int, compiled: set, arguments: argparse.Namespace) -> dict:
@@ -59,9 +65,7 @@ def measure(index: int, compiled: set, arguments: argparse.Namespace) -> dict:
     patient = (
         None if bool(solution.converged) else with_further_guesses(mission, arguments)
     )
-    verification = jaxscp.verify(
-        mission.problem(), solution, between=arguments.enforce == "between"
-    )
+    verification = check(mission, solution, arguments)
     return {
         "index": index,
         "buildings": mission.obstacles.count,

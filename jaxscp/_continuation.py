@@ -1,16 +1,15 @@
 """`continuation`: problems in a line, each solved from the solution before."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
-from ._discretization import Discretization
 from ._problem import OptimalControlProblem
 from ._proximal import ProximalSCP
 from ._scp import AbstractSCP
 from ._solution import Solution
 from ._solve import solve
 from ._trajectory import Trajectory
-from ._types import ArrayLike, is_concrete
+from ._types import is_concrete
 
 
 def continuation(
@@ -18,10 +17,8 @@ def continuation(
     guess: Trajectory | Sequence[Trajectory] | None = None,
     method: AbstractSCP = ProximalSCP(),  # noqa: B008  (immutable)
     *,
-    nodes: int | ArrayLike = 50,
-    discretization: Discretization = Discretization(),  # noqa: B008  (immutable)
-    progress: Callable[[dict], None] | None = None,
     throw: bool = True,
+    **settings: Any,
 ) -> tuple[Solution, ...]:
     """Solve problems in a line, each from the solution of the one before.
 
@@ -33,9 +30,10 @@ def continuation(
     - `problems`: that differ in numbers only, so that one compilation serves them all.
     - `guess`: where the first starts, as in [`jaxscp.solve`][]. Each other starts from
         the latest solution that converged or, if none did, from the last iterate.
-    - `method`, `nodes`, `discretization`, `progress`: as in [`jaxscp.solve`][].
     - `throw`: raise if the last problem's solve does not converge. That the earlier ones
         did is told by their statuses alone.
+    - `method`, and as `settings` `nodes`, `discretization` and `progress`: as in
+        [`jaxscp.solve`][].
 
     **Returns:** a solution for each problem, in their order.
 
@@ -44,11 +42,6 @@ def continuation(
     line = tuple(problems)
     if not line:
         raise ValueError("problems=(): give at least one.")
-    settings: dict[str, Any] = {
-        "nodes": nodes,
-        "discretization": discretization,
-        "progress": progress,
-    }
     solutions: list[Solution] = []
     start, reached = guess, False
     for index, problem in enumerate(line, 1):

@@ -6,13 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._constraints import (
-    integral_limits,
-    largest_buffer,
-    violations,
-)
+from ._constraints import integral_limits, largest_buffer, violations
 from ._discretization import Discretization
-from ._merit import AbstractMerit
+from ._merit import AbstractMerit, ExactPenalty
 from ._scaling import Scaling, automatic_scaling
 from ._state import History, Iterate, Judgement, Reach, SCPState, Trial
 from ._subproblem import SubproblemSolution
@@ -58,7 +54,6 @@ def start(
     transcription: Transcription,
     guess: Variables,
     nothing: SubproblemSolution,
-    merit: AbstractMerit,
     *,
     radius: float,
     ceiling: float,
@@ -84,7 +79,7 @@ def start(
         iterate=iterate,
         scaling=automatic_scaling(transcription, guess),
         solution=nothing,
-        merit=merit,
+        merit=ExactPenalty(nothing.multipliers),
         ceiling=jnp.asarray(ceiling),
         radius=jnp.asarray(radius),
         reach=Reach(jnp.asarray(jnp.inf), jnp.asarray(1.0 / radius)),

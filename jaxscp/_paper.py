@@ -76,12 +76,10 @@ class PaperSCP(AbstractSCP):
             raise ValueError(f"alpha={self.alpha}: need alpha > 1.")
 
     def init(self, transcription: Transcription, guess: Variables) -> SCPState:
-        nothing = SubproblemSolution.none(self._structure(transcription))
         return start(
             transcription,
             guess,
-            nothing,
-            ExactPenalty(nothing.multipliers),
+            SubproblemSolution.none(self._structure(transcription)),
             radius=self.initial_radius,
             ceiling=self.penalty,
             # Rejected steps are recorded too.

@@ -12,7 +12,6 @@ from ._curvature import Curvature
 from ._damping import Damping
 from ._iteration import advance, is_finite, linearized, start
 from ._layout import Structure
-from ._merit import ExactPenalty
 from ._model import Model, exact_curvature, nodewise_curvature
 from ._optimality import Optimality, optimality
 from ._qp import PIQP
@@ -98,12 +97,10 @@ class ProximalSCP(AbstractSCP):
             )
 
     def init(self, transcription: Transcription, guess: Variables) -> SCPState:
-        nothing = SubproblemSolution.none(Structure.of(transcription))
         return start(
             transcription,
             guess,
-            nothing,
-            ExactPenalty(nothing.multipliers),
+            SubproblemSolution.none(Structure.of(transcription)),
             radius=1.0 / self.initial_weight,
             ceiling=self.initial_ceiling,
             records=self.max_iterations + self.max_polish,
@@ -168,7 +165,6 @@ class ProximalSCP(AbstractSCP):
             transcription,
             state,
             solve=lambda around: self._solve(transcription, state, around, *parts),
-            follow=lambda to: state.merit.following(to, state.ceiling),
             accept_ratio=self.accept_ratio,
             # Of a polishing step what counts is whether it stays feasible.
             correction_ratio=jnp.where(state.near, -jnp.inf, poor),

@@ -12,7 +12,6 @@ from ._constraints import integral_limits, worst_violation
 from ._iteration import judge, try_step
 from ._merit import AbstractMerit
 from ._model import Model
-from ._per_constraint import PerConstraint
 from ._state import Judgement, SCPState, Trial
 from ._subproblem import SubproblemSolution
 from ._transcription import Residuals, Transcription
@@ -41,7 +40,6 @@ def search(
     transcription: Transcription,
     state: SCPState,
     solve: Callable[[Residuals], tuple[SubproblemSolution, Model, NewtonStep]],
-    follow: Callable[[PerConstraint], AbstractMerit],
     *,
     accept_ratio: float,
     correction_ratio: Array,
@@ -57,7 +55,7 @@ def search(
     **Arguments:**
 
     - `solve`: the subproblem around some residuals, the model it took with those of the
-        reference, and Newton's step. `follow`: the merit, from multipliers.
+        reference, and Newton's step.
     - `accept_ratio`: as in the ratio test. `correction_ratio`: below it a step is poor.
     - `feasibility`: a step that violates a constraint by more is poor, too.
     """
@@ -79,7 +77,8 @@ def search(
         first, best = found.passes == 0, found.best
         solution, model, newton = solve(found.around)
         solution = _or_stay(solution, state.solution)
-        merit = tree_where(first, follow(solution.multipliers), found.merit)
+        following = state.merit.following(solution.multipliers, state.ceiling)
+        merit = tree_where(first, following, found.merit)
         expected = tree_where(first, model.predict(solution.step), found.expected)
         trial = try_step(transcription, state.scaling, state.iterate, solution, merit)
         better = first | (solution.effort.solved & (trial.cost < best.cost))

@@ -136,9 +136,12 @@ def solve(
         "discretization": dataclasses.replace(GRIDS[grid], between=ENFORCED[enforce]),
         "progress": progress,
     }
-    if not is_concrete(eqx.filter((mission, starts), eqx.is_array)):
-        return solve_problem(mission.problem(), starts, throw=throw, **settings)
-    solution = solve_problem(mission.problem(), starts, throw=False, **settings)
+    # Traced numbers do not tell whether there is anything left to try.
+    known = is_concrete(eqx.filter((mission, starts), eqx.is_array))
+    at_once = throw and not known
+    solution = solve_problem(mission.problem(), starts, throw=at_once, **settings)
+    if not known:
+        return solution
     if not bool(solution.converged) and mission.data_required is not None:
         solution = _with_rising_data(mission, starts[0].fractions, solution, settings)
     if throw and not bool(solution.converged):
@@ -207,13 +210,11 @@ def _with_rising_data(
     ]
     problems = [each.problem() for each in line]
     *_, last = continuation(problems, line[0].guess(fractions), throw=False, **settings)
-    first, then = (
-        [dataclasses.replace(each, chosen=jnp.asarray(False)) for each in tried.attempts]
-        for tried in (before, last)
-    )
-    if bool(last.converged):
-        return dataclasses.replace(last, attempts=(*first, *last.attempts))
-    return dataclasses.replace(before, attempts=(*before.attempts, *then))
+    better, worse = (last, before) if bool(last.converged) else (before, last)
+    nobody = jnp.asarray(False)
+    passed = tuple(dataclasses.replace(each, chosen=nobody) for each in worse.attempts)
+    every = passed + last.attempts if bool(last.converged) else before.attempts + passed
+    return dataclasses.replace(better, attempts=every)
 
 
 def _buildings() -> Cylinders:

@@ -25,11 +25,7 @@ from past_a_disc import (
 )
 from random_models import random_scaling
 
-from jaxscp._constraints import (
-    largest_buffer,
-    violations,
-    worst_violation,
-)
+from jaxscp._constraints import largest_buffer, violations, worst_violation
 from jaxscp._curvature import Curvature
 from jaxscp._merit import ExactPenalty
 from jaxscp._model import Model

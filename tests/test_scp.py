@@ -14,11 +14,7 @@ import pytest
 
 import jaxscp
 from jaxscp import Bounds, Integral, OptimalControlProblem
-from jaxscp._constraints import (
-    integral_limits,
-    violations,
-    worst_violation,
-)
+from jaxscp._constraints import integral_limits, violations, worst_violation
 from jaxscp._merit import ExactPenalty
 from jaxscp._scp import run
 from jaxscp._state import SCPState
@@ -178,9 +174,11 @@ def test_limits_hold_at_every_iterate(states):
     for state in every:
         variables = state.iterate.variables
         low, high = TRANSCRIPTION.state_limits
-        # On the way Newton's steps leave a gap, which falls with the residual.
-        assert float(jnp.max(low - variables.states)) < 1e-5
-        assert float(jnp.max(variables.states - high)) < 1e-5
+        # Newton's steps leave a gap that falls with the residual they start from.
+        residual = float(state.optimality)
+        gap = 1e-6 * max(1.0, residual if np.isfinite(residual) else 0.0)
+        assert float(jnp.max(low - variables.states)) < gap
+        assert float(jnp.max(variables.states - high)) < gap
         assert float(jnp.max(jnp.abs(variables.controls))) < 2.0 + 1e-6
 
 
