@@ -3,6 +3,7 @@
 import dataclasses
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from ._curvature import Curvature, convex_part
@@ -100,3 +101,37 @@ def exact_curvature(
     """All of the Lagrangian's scaled curvature, convex or not."""
     physical = scaling.physical(multipliers)
     return scaling.curvature(lagrangian_hessian(transcription, point, substeps, physical))
+
+
+def model_curvatures(
+    transcription: Transcription,
+    scaling: Scaling,
+    point: Variables,
+    substeps: Array,
+    multipliers: PerConstraint,
+    sound: Array,
+    kind: str,
+) -> tuple[Curvature, Curvature]:
+    """A convex curvature, and one with all of the Lagrangian's where that is sound.
+
+    **Arguments:**
+
+    - `sound`: whether the multipliers are good for the dynamics' curvature.
+    - `kind`: "all", "nodes" (without the dynamics') or "cost".
+    """
+    at = (transcription, scaling, point)
+    share = 0.0 if kind == "cost" else 1.0
+    weighed = jax.tree.map(lambda leaf: share * leaf, multipliers)
+    convex = nodewise_curvature(*at, weighed)
+    if kind != "all":
+        return convex, convex
+
+    def with_dynamics():
+        settings, steps = transcription.discretization, substeps
+        # Half the steps tell the curvature well enough to converge fast, but would
+        # have peaks elsewhere.
+        if not settings.between:
+            steps = jnp.maximum((steps + 1) // 2, settings.least_substeps)
+        return exact_curvature(*at, steps, multipliers)
+
+    return convex, jax.lax.cond(sound, with_dynamics, lambda: convex)

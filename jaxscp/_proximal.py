@@ -7,13 +7,13 @@ import jax
 import jax.numpy as jnp
 
 from ._active_set import NewtonStep, active_set_step
-from ._constraints import integral_limits, worst_violation
 from ._curvature import Curvature
 from ._damping import Damping
 from ._iteration import advance, is_finite, linearized, start
 from ._layout import Structure
-from ._model import Model, exact_curvature, nodewise_curvature
+from ._model import Model, model_curvatures
 from ._optimality import Optimality, optimality
+from ._prospects import prospects
 from ._qp import PIQP
 from ._scp import AbstractSCP
 from ._search import Search, search
@@ -158,7 +158,9 @@ class ProximalSCP(AbstractSCP):
 
     def _iterate(self, transcription: Transcription, state: SCPState) -> SCPState:
         sound = self._is_sound(state)
-        curvatures = self._curvatures(transcription, state, sound)
+        iterate, multipliers = state.iterate, state.solution.multipliers
+        at = (transcription, state.scaling, iterate.variables, iterate.substeps)
+        curvatures = model_curvatures(*at, multipliers, sound, self.curvature)
         parts = curvatures, metric(transcription, state, curvatures, sound)
         poor = jnp.asarray(self.correction_ratio if self.correction else -jnp.inf)
         found, judgement = search(
@@ -178,28 +180,6 @@ class ProximalSCP(AbstractSCP):
         accepted = judgement.accepted | trusted
         judgement = dataclasses.replace(judgement, accepted=accepted)
         return self._advance(transcription, state, found, judgement)
-
-    def _curvatures(
-        self, transcription: Transcription, state: SCPState, sound: Array
-    ) -> tuple[Curvature, Curvature]:
-        """A convex curvature, and one with all of the Lagrangian's where it is sound."""
-        iterate, multipliers = state.iterate, state.solution.multipliers
-        point = (transcription, state.scaling, iterate.variables)
-        share = 0.0 if self.curvature == "cost" else 1.0
-        weighed = jax.tree.map(lambda leaf: share * leaf, multipliers)
-        convex = nodewise_curvature(*point, weighed)
-        if self.curvature != "all":
-            return convex, convex
-
-        def with_dynamics():
-            settings, steps = transcription.discretization, iterate.substeps
-            # Half the steps tell the curvature well enough to converge fast, but would
-            # have peaks elsewhere.
-            if not settings.between:
-                steps = jnp.maximum((steps + 1) // 2, settings.least_substeps)
-            return exact_curvature(*point, steps, multipliers)
-
-        return convex, jax.lax.cond(sound, with_dynamics, lambda: convex)
 
     def _solve(
         self,
@@ -282,27 +262,19 @@ class ProximalSCP(AbstractSCP):
             (near | newton.found) & ~judgement.accepted, kept, trial.solution
         )
         trial = dataclasses.replace(trial, solution=kept)
-        limits = integral_limits(transcription, state.scaling)
-        here = tree_where(judgement.accepted, trial.residuals, state.iterate.residuals)
-        infeasible = worst_violation(here, limits) > self.feasibility_tolerance
-        # Where even the model leaves a violation, virtual variables may be too cheap.
-        bought = worst_violation(found.expected, limits) > self.feasibility_tolerance
-        # A heavy proximal term makes every prediction small: take it out again.
-        weight = jnp.where(newton.found, newton.weight, 1.0 / state.radius)
-        promised = judgement.predicted * jnp.maximum(1.0, weight)
-        least = jnp.where(bought, self.min_progress, self.min_reduction)
-        # Where violations outweigh the cost: within what a QP solver resolves.
-        noise = 1e-9 * jnp.abs(judgement.reference)
-        unpromising = promised <= least
-        stationary = unpromising | (judgement.predicted <= noise)
-        # Next to a solution a step along what the cost hardly sees promises nothing, yet
-        # leads to it.
-        close = ~infeasible & (state.optimality <= self.close)
-        hopeful = (near | close) & self._may_polish(state)
-        stationary &= ~hopeful & ~newton.found
-        stationary &= trial.solution.effort.solved
-        cheap = stationary & bought & (state.ceiling < self.max_ceiling)
-        ceiling = jnp.where(cheap, 10.0 * state.ceiling, state.ceiling)
+        ahead = prospects(
+            transcription,
+            state,
+            dataclasses.replace(found, best=trial),
+            judgement,
+            may_polish=self._may_polish(state),
+            close=self.close,
+            min_reduction=self.min_reduction,
+            min_progress=self.min_progress,
+            feasibility_tolerance=self.feasibility_tolerance,
+            max_ceiling=self.max_ceiling,
+        )
+        ceiling = jnp.where(ahead.cheap, 10.0 * state.ceiling, state.ceiling)
         poor, good = self.poor_ratio, self.good_ratio
         ratios = {"poor_ratio": poor, "good_ratio": good, "factor": self.weight_factor}
         radius = next_radius(state, judgement, **ratios)
@@ -317,10 +289,10 @@ class ProximalSCP(AbstractSCP):
             merit=found.merit,
             ceiling=ceiling,
             radius=jnp.minimum(radius, self.max_radius),
-            stationary=stationary & (~infeasible | bought) & ~cheap,
+            stationary=ahead.stationary,
             iterations=state.iterations + ~newton.found,
             polish=state.polish + newton.found,
-            near=near | (hopeful & unpromising),
+            near=ahead.near,
             reach=reach,
             own=judgement.accepted | newton.found,
         )

@@ -33,6 +33,7 @@ FLOORS = (
     {"_active_set"},
     {"_iteration", "_optimality", "_scp", "_solution"},
     {"_search", "_outcome", "_choice", "_trust_region"},
+    {"_prospects"},
     {"_proximal", "_paper"},
     {"_free_intervals"},
     {"_solve"},
