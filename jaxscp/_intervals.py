@@ -5,7 +5,8 @@ import jax
 import jax.flatten_util
 import jax.numpy as jnp
 
-from ._flow import Course, Flow, Span
+from ._flow import Course, Flow
+from ._step import Span
 from ._types import Array, Float, Scalar
 
 

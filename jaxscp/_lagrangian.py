@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 
 from ._curvature import Curvature
-from ._flow import Span
 from ._per_constraint import PerConstraint
 from ._second_order import interval_hessian
+from ._step import Span
 from ._transcription import Transcription, Variables
 from ._types import Array, Float
 

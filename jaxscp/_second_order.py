@@ -16,8 +16,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._flow import Flow, Span, Step
+from ._flow import Flow
 from ._peaks import derivatives
+from ._step import Span, Step
 from ._types import Array, Float, Scalar
 
 # A share of a step within which Newton's method has found a peak.

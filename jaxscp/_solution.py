@@ -7,11 +7,12 @@ import jax.numpy as jnp
 from ._attempt import Attempt
 from ._diagnosis import Violations, explain
 from ._discretization import Discretization
-from ._flow import Flow, Span
+from ._flow import Flow
 from ._packed import Packed
 from ._problem import OptimalControlProblem
 from ._state import History
 from ._status import Status, has_converged
+from ._step import Span
 from ._trajectory import Trajectory
 from ._types import Array, ArrayLike, Float, Scalar, is_concrete
 

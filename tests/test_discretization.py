@@ -16,10 +16,11 @@ from scipy.linalg import expm
 
 from jaxscp import Bounds, FirstOrderHold, OptimalControlProblem, ZeroOrderHold, missions
 from jaxscp._discretization import Discretization, Quadrature
-from jaxscp._flow import Flow, Span
+from jaxscp._flow import Flow
 from jaxscp._lagrangian import nodal_curvature
 from jaxscp._per_constraint import PerConstraint
 from jaxscp._problem import Integral
+from jaxscp._step import Span
 from jaxscp._transcription import Residuals, Transcription, Variables
 
 ZERO_ORDER, FIRST_ORDER = ZeroOrderHold(), FirstOrderHold()

@@ -17,7 +17,7 @@ FLOORS = (
     {"_problem", "models.systems", "models.limits"},
     {"models.channel", "models.obstacles", "models.quadrotor"},
     {"_trajectory", "_routes", "_paced_problem", "models", "textbook"},
-    {"_discretization", "_repropagation", "_limit_checks"},
+    {"_discretization", "_step", "_repropagation", "_limit_checks"},
     {"_peaks", "_verification", "_diagnosis", "_validation"},
     {"_flow", "verify"},
     {"_intervals", "_second_order"},
