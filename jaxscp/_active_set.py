@@ -18,7 +18,7 @@ from ._damping import Damping
 from ._model import Model
 from ._subproblem import SubproblemSolution
 from ._subproblem_data import Limits
-from ._transcription import Variables
+from ._transcription import Residuals, Variables
 from ._tree import tree_where
 from ._types import Array, Scalar
 
@@ -28,6 +28,8 @@ _TRIES = 6
 # The next weight where one was too light, and how close to such a one the best may be.
 _HEAVIER = 4.0
 _CLOSE = 1.6
+# A gradient this large that ought to vanish: the recursion broke down.
+_SOUND = 1e-9
 # Of the length allowed.
 _OVERLONG = 1.2
 
@@ -96,7 +98,7 @@ def active_set_step(
         to a node, contradict each other a little.
     """
     still = jax.tree.map(jnp.zeros_like, last.step)
-    first = _sides(model, limits, last, still, precision)
+    first = active_sides(model.residuals, limits, last, still, precision)
 
     def unfinished(at: _Attempt) -> Array:
         rough = (at.too_light > 0.0) & (at.best.weight > _CLOSE * at.too_light)
@@ -104,13 +106,16 @@ def active_set_step(
 
     def again(at: _Attempt) -> _Attempt:
         system = _with_active(model, metric.times(at.weight), limits, at.sides)
-        solution, convex, gap = system.solved(PerLimit.multipliers(last), precision)
+        found = system.solved(PerLimit.multipliers(last), precision)
+        solution, sound = found.solution, found.left <= jnp.maximum(_SOUND, precision)
+        convex = (found.convexity > 0.0) & sound
         length = metric.length(solution.step)
         light = ~convex | (length > _OVERLONG * longest)
-        sides = _sides(model, limits, solution, solution.step, precision)
+        after = model.linear(solution.step)
+        sides = active_sides(after, limits, solution, solution.step, precision)
         same = jax.tree.map(lambda a, b: jnp.all(a == b), sides, at.sides)
         same = jnp.all(jnp.stack(jax.tree.leaves(same)))
-        right = ~light & (gap <= jnp.maximum(precision, slack)) & same
+        right = ~light & (found.gap <= jnp.maximum(precision, slack)) & same
         solution = eqx.tree_at(lambda s: s.effort.solved, solution, right)
         this = NewtonStep(solution, at.weight, length)
         lost = ~light & ~right & (at.tries + 1 >= _TRIES)
@@ -136,20 +141,22 @@ def active_set_step(
     return jax.lax.while_loop(unfinished, again, begun).best
 
 
-def _sides(
-    model: Model,
+def active_sides(
+    after: Residuals,
     limits: Limits,
     solution: SubproblemSolution,
     step: Variables,
-    precision: Scalar,
+    precision: Scalar | float,
 ) -> PerLimit:
     """Where each constraint rests after a step, as its multipliers tell."""
     multipliers = PerLimit.multipliers(solution)
     side = functools.partial(_side, precision=precision)
-    return jax.tree.map(side, multipliers, *_rooms(model, limits, step))
+    return jax.tree.map(side, multipliers, *_rooms(after, limits, step))
 
 
-def _side(multiplier: Array, below: Array, above: Array, precision: Scalar) -> Array:
+def _side(
+    multiplier: Array, below: Array, above: Array, precision: Scalar | float
+) -> Array:
     """The limit a constraint rests on: 1 the upper, -1 the lower, 0 neither."""
     upper = multiplier - above > precision
     lower = -multiplier - below > precision
@@ -158,10 +165,11 @@ def _side(multiplier: Array, below: Array, above: Array, precision: Scalar) -> A
     return jnp.where(upper | fixed, 1.0, jnp.where(lower, -1.0, 0.0))
 
 
-def _rooms(model: Model, limits: Limits, step: Variables) -> tuple[PerLimit, PerLimit]:
+def _rooms(
+    after: Residuals, limits: Limits, step: Variables
+) -> tuple[PerLimit, PerLimit]:
     """The way to every lower and to every upper limit."""
-    after = model.linear(step)
-    low, high = _ends(limits)
+    low, high = limits.ends
     lowest, highest = limits.integral
     return (
         PerLimit(
@@ -179,16 +187,7 @@ def _rooms(model: Model, limits: Limits, step: Variables) -> tuple[PerLimit, Per
     )
 
 
-def _ends(limits: Limits) -> tuple[Variables, Variables]:
-    """The lower and the upper limits of the step."""
-    low, high = (
-        Variables(limits.state[side], limits.control[side], limits.time[side][0])
-        for side in (0, 1)
-    )
-    return low, high
-
-
-def _resting(side: Array, low: Array, high: Array) -> Array:
+def resting(side: Array, low: Array, high: Array) -> Array:
     """The limit a variable rests on; zero where it rests on none."""
     return jnp.where(side > 0.0, high, jnp.where(side < 0.0, low, 0.0))
 
@@ -197,6 +196,6 @@ def _with_active(
     model: Model, damping: Damping, limits: Limits, sides: PerLimit
 ) -> ActiveSystem:
     """The conditions of a step with these constraints active."""
-    targets = jax.tree.map(_resting, sides.variables, *_ends(limits))
-    totals = _resting(sides.integral, *limits.integral)
+    targets = jax.tree.map(resting, sides.variables, *limits.ends)
+    totals = resting(sides.integral, *limits.integral)
     return ActiveSystem.of(model, damping, sides, targets, totals)

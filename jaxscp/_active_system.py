@@ -28,8 +28,6 @@ _FIRM = 3e4
 _PASSES = 32
 # Gaps below this share of the precision asked for are closed.
 _CLOSED = 0.1
-# A gradient this large that ought to vanish: the recursion broke down.
-_SOUND = 1e-9
 
 
 class PerLimit(eqx.Module):
@@ -67,12 +65,28 @@ class _Pass(eqx.Module):
     count: Array
 
 
+class Solved(eqx.Module):
+    """What [`ActiveSystem`][] found.
+
+    - `convexity`: least curvature along the dynamics; a minimum has a positive one.
+    - `gap`: how far the step is from the limits that it ought to rest on: more than
+        nothing where those contradict each other.
+    - `left`: of the gradient that ought to vanish: much where the recursion broke down.
+    """
+
+    solution: SubproblemSolution
+    convexity: Scalar
+    gap: Scalar
+    left: Scalar
+
+
 class ActiveSystem(eqx.Module):
     """The model's first-order conditions with some constraints active.
 
     - `sides`: where a constraint rests: 1 on its upper limit, -1 on its lower one.
     - `told`: 1 for variables that are forced to their limits.
     - `pull`: the squares that draw everything else.
+    - `slope`: first derivatives of the cost beside the model's.
     """
 
     model: Model
@@ -80,6 +94,7 @@ class ActiveSystem(eqx.Module):
     sides: PerLimit
     told: Variables
     pull: Damping
+    slope: Variables
 
     @classmethod
     def of(
@@ -89,8 +104,11 @@ class ActiveSystem(eqx.Module):
         sides: PerLimit,
         targets: Variables,
         totals: Float[Array, " q"],
+        slope: Variables | None = None,
     ) -> "ActiveSystem":
         """With the limits that the variables and the integrals rest on."""
+        if slope is None:
+            slope = jax.tree.map(jnp.zeros_like, targets)
         weight = jax.tree.map(lambda side: _FIRM * jnp.abs(side), sides)
         told = jax.tree.map(jnp.abs, sides.variables)
         told = eqx.tree_at(lambda v: v.states, told, told.states.at[1:].set(0.0))
@@ -108,7 +126,7 @@ class ActiveSystem(eqx.Module):
             centre=targets,
             target=totals,
         )
-        return cls(model, damping, sides, told, pull)
+        return cls(model, damping, sides, told, pull, slope)
 
     @property
     def weight(self) -> PerLimit:
@@ -116,11 +134,8 @@ class ActiveSystem(eqx.Module):
         pull = self.pull
         return PerLimit(pull.step, pull.path, pull.between, pull.integral)
 
-    def solved(
-        self, pushes: PerLimit, precision: Scalar
-    ) -> tuple[SubproblemSolution, Array, Scalar]:
-        """The step, whether it is a minimum, and its gap: how far it is from the limits
-        that it ought to rest on, more than nothing where those contradict each other.
+    def solved(self, pushes: PerLimit, precision: Scalar) -> "Solved":
+        """The step, and how good it is.
 
         **Arguments:**
 
@@ -139,8 +154,7 @@ class ActiveSystem(eqx.Module):
             begun,
         )
         solution, left = self._solution(done)
-        convex = (factors.convexity > 0.0) & (left <= jnp.maximum(_SOUND, precision))
-        return solution, convex, done.gap
+        return Solved(solution, factors.convexity, done.gap, left)
 
     def _left_at(self, done: _Pass) -> tuple[Program, Forced]:
         """What is left of every condition."""
@@ -227,6 +241,8 @@ class ActiveSystem(eqx.Module):
         total += jnp.vdot(pushes.path, after.path)
         total += jnp.vdot(pushes.between, self._peaks(after))
         total += jnp.vdot(pushes.integral, after.totals)
+        beside = jax.tree.map(jnp.vdot, self.slope, step)
+        total += sum(jax.tree.leaves(beside))
         return total + jnp.vdot(pushes.variables.states, step.states)
 
     def _peaks(self, after: Residuals) -> Array:

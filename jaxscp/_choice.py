@@ -13,6 +13,7 @@ from ._attempt import Attempt
 from ._problem import OptimalControlProblem
 from ._solution import Solution
 from ._trajectory import Trajectory
+from ._tree import constant
 from ._types import Array
 from ._verification import Verification
 from .verify import HOLDS, verify
@@ -38,12 +39,13 @@ def best(solutions: Sequence[Solution]) -> Solution:
     constraints least. What costs more than the one chosen is not verified.
     """
     attempts = [solution.attempts[0] for solution in solutions]
+    numbers = constant(list(solutions))
     order = [int(index) for index in _order(_stacked(attempts))]
     verified: dict[int, bool] = {}
     for index in order:
         if not bool(attempts[index].converged) or not _can_verify(solutions[index]):
             break
-        solution = solutions[index]
+        solution = numbers[index]
         between = solution.discretization.between > 0
         verified[index] = checked(solution.problem, solution, between).verified
         if verified[index]:

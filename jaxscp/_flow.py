@@ -1,14 +1,18 @@
 """The flow of one interval: classical Runge-Kutta steps of equal length."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ._discretization import Discretization, Quadrature
-from ._peaks import Watch, largest
+from ._loop import repeat
+from ._peaks import Watch, largest, moving
 from ._problem import OptimalControlProblem
 from ._step import RK4_NODES, Span, Step
+from ._tree import constant
 from ._types import Array, Float, Scalar
 
 # No peak is looked for nearer to a node, in shares of an interval: the node itself is
@@ -41,11 +45,14 @@ class Flow(eqx.Module):
     """What carries the state through an interval.
 
     - `substeps`: Runge-Kutta steps; may be traced.
+    - `reversible`: whether derivatives are taken backwards through it, by whatever it
+        depends on, and of any order: slower to evaluate.
     """
 
     problem: OptimalControlProblem
     discretization: Discretization
     substeps: Array | int
+    reversible: bool = eqx.field(static=True, default=False)
 
     @property
     def watch(self) -> Watch:
@@ -140,21 +147,23 @@ class Flow(eqx.Module):
         self, span: Span, index: Array | int, step: Step
     ) -> Float[Array, " e"]:
         """The share of a step at which each watched quantity is largest."""
-        here, there = jax.lax.stop_gradient((span, step))
-        return largest(
-            lambda shares: self.watched(here, index, there, shares),
+        flow, here, there = constant((self, span, step))
+        shares = largest(
+            lambda shares: flow.watched(here, index, there, shares),
             self.peak_range(index),
             self.watch.size,
         )
+        if not self.reversible:
+            return shares
+        return moving(lambda shares: self.watched(span, index, step, shares), shares)
 
     def over(self, span: Span, x: Float[Array, " n"]) -> Course:
         """All of an interval, from the state at its left node."""
-        return jax.lax.fori_loop(
-            0,
-            self.substeps,
-            lambda index, course: self.advance(span, index, course),
-            self.start(x),
-        )
+        advance = functools.partial(self.advance, span)
+        if self.reversible:
+            most = self.discretization.max_substeps
+            return repeat(self.substeps, most, advance, self.start(x))
+        return jax.lax.fori_loop(0, self.substeps, advance, self.start(x))
 
     def start(self, x: Float[Array, " n"]) -> Course:
         """The course before the first step."""

@@ -1,17 +1,29 @@
 """The last iterate of a solve as a `Solution`: named, and in physical units."""
 
+import dataclasses
+
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 
+from ._active_set import active_sides
 from ._attempt import Attempt
 from ._constraints import integral_limits, violations, worst_violation
 from ._diagnosis import Violations
+from ._kkt import KKTPoint, Optimum
 from ._packed import Packed
 from ._per_constraint import PerConstraint
+from ._scaling import Scaling
+from ._sensitivity import optimal_objective, optimal_point, optimal_totals
 from ._solution import Multipliers, Solution, Statistics
 from ._state import SCPState
 from ._status import Status
-from ._transcription import Transcription
+from ._subproblem import step_limits
+from ._transcription import Transcription, Variables
 from ._types import Array, Float
+
+# Multipliers and gaps of which neither says whether a constraint is active.
+_NEGLIGIBLE = 1e-10
 
 
 def outcome(transcription: Transcription, state: SCPState, status: Status) -> Solution:
@@ -27,7 +39,7 @@ def outcome(transcription: Transcription, state: SCPState, status: Status) -> So
         trajectory=transcription.trajectory(iterate.variables),
         objective=objective,
         integrals=_by_integral(transcription, totals),
-        multipliers=_multipliers(transcription, state),
+        multipliers=_multipliers(transcription, scaling, _point(state)),
         violations=_violations(transcription, state),
         status=status,
         optimality=state.optimality,
@@ -71,21 +83,67 @@ def _violations(transcription: Transcription, state: SCPState) -> Violations:
     )
 
 
-def _multipliers(transcription: Transcription, state: SCPState) -> Multipliers:
-    scaling, solution = state.scaling, state.solution
-    size = scaling.objective
-    physical = scaling.physical(solution.multipliers)
+def optimum(transcription: Transcription, state: SCPState, status: Status) -> Optimum:
+    """What derivatives of the outcome need."""
+    scaling, iterate, solution = state.scaling, state.iterate, state.solution
+    limits = step_limits(transcription, scaling, iterate.variables)
+    point = _point(state)
+    sides = active_sides(iterate.residuals, limits, solution, point.step, _NEGLIGIBLE)
+    return Optimum(
+        variables=iterate.variables,
+        point=point,
+        scaling=scaling,
+        substeps=iterate.substeps,
+        sides=sides,
+        objective=iterate.residuals.objective * scaling.objective,
+        integrals=iterate.residuals.totals * scaling.integral,
+        polished=jnp.asarray(status == Status.converged),
+    )
+
+
+@eqx.filter_jit
+def differentiable(
+    transcription: Transcription, found: Optimum, solution: Solution
+) -> Solution:
+    """The solution as a function of the problem: objective, integrals, trajectory and
+    multipliers move with it. All else is what it was.
+    """
+    point = optimal_point(transcription, found)
+    variables = found.scaling.move(found.variables, point.step)
+    totals = optimal_totals(transcription, found)
+    return dataclasses.replace(
+        solution,
+        packed_problem=Packed.of(transcription.problem),
+        trajectory=transcription.trajectory(variables),
+        objective=optimal_objective(transcription, found),
+        integrals=_by_integral(transcription, totals),
+        multipliers=_multipliers(transcription, found.scaling, point),
+    )
+
+
+def _point(state: SCPState) -> KKTPoint:
+    solution = state.solution
+    still = jax.tree.map(jnp.zeros_like, solution.step)
+    limits = Variables(solution.state, solution.control, solution.final_time)
+    return KKTPoint(still, solution.multipliers, limits)
+
+
+def _multipliers(
+    transcription: Transcription, scaling: Scaling, point: KKTPoint
+) -> Multipliers:
+    size, limits = scaling.objective, point.limits
+    physical = scaling.physical(point.multipliers)
     missing = transcription.nodes - transcription.control_nodes
-    control: Float[Array, "N m"] = jnp.pad(solution.control, ((0, missing), (0, 0)))
+    control: Float[Array, "N m"] = jnp.pad(limits.controls, ((0, missing), (0, 0)))
     lower, upper, path = _by_interval(transcription, physical.between, jnp.sum)
     return Multipliers(
         # A defect is the next node minus the flow: pushing the flow is its negative.
         dynamics=-physical.dynamics,
         path_constraints=_by_name(transcription, physical.path),
         integrals=_by_integral(transcription, physical.integral),
-        state=solution.state * size / scaling.state[None],
+        state=limits.states * size / scaling.state[None],
         control=control * size / scaling.control[None],
-        final_time=solution.final_time * size / scaling.time,
+        final_time=limits.final_time * size / scaling.time,
         state_between=upper - lower,
         path_between=_by_name(transcription, path),
     )

@@ -13,6 +13,8 @@ from ._types import Array, Float
 # Moments of a step compared before the best of them is refined, and Newton's steps.
 _SAMPLES = 5
 _REFINEMENTS = 3
+# A share of a step within which they have found a peak.
+_FOUND = 1e-6
 # How far a peak may exceed its limit, in shares of the scale. Where nodes rest on a limit
 # one after the other, the ripple between them would make twice as many constraints
 # active as there are controls to meet them.
@@ -105,3 +107,26 @@ def largest(
 
     shares = jax.lax.fori_loop(0, _REFINEMENTS, refined, shares)
     return jax.lax.stop_gradient(shares)
+
+
+def inner_peaks(
+    slope: Float[Array, " e"], bend: Float[Array, " e"]
+) -> Float[Array, " e"]:
+    """Where the first derivative vanishes and the second is negative."""
+    return (bend < 0.0) & (jnp.abs(slope) <= _FOUND * jnp.abs(bend))
+
+
+def moving(
+    function: Callable[[Float[Array, " e"]], Float[Array, " e"]],
+    shares: Float[Array, " e"],
+) -> Float[Array, " e"]:
+    """The same shares, which move with what the function depends on.
+
+    Where a peak's slope vanishes it moves by what its slope changes by over its
+    curvature. At the end of what is looked at it stays.
+    """
+    slope, bend = derivatives(function, shares)
+    inner = inner_peaks(*jax.lax.stop_gradient((slope, bend)))
+    move = -slope / jnp.where(inner, jax.lax.stop_gradient(bend), 1.0)
+    move -= jax.lax.stop_gradient(move)
+    return shares + jnp.where(inner, move, 0.0)

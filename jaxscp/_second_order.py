@@ -17,12 +17,9 @@ import jax
 import jax.numpy as jnp
 
 from ._flow import Flow
-from ._peaks import derivatives
+from ._peaks import derivatives, inner_peaks
 from ._step import Span, Step
 from ._types import Array, Float, Scalar
-
-# A share of a step within which Newton's method has found a peak.
-_FOUND = 1e-6
 
 
 def interval_hessian(
@@ -177,6 +174,6 @@ class _StepHessian(eqx.Module):
         slope, bend = derivatives(
             lambda shares: self.flow.watched(span, self.index, step, shares), shares
         )
-        inner = (bend < 0.0) & (jnp.abs(slope) <= _FOUND * jnp.abs(bend))
+        inner = inner_peaks(slope, bend)
         gain = jnp.where(inner, -self.push / jnp.where(inner, bend, 1.0), 0.0)
         return jnp.einsum("cw,c,cv->wv", tilts, gain, tilts)

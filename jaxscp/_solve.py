@@ -12,13 +12,15 @@ import numpy as np
 from ._choice import best, best_unverified
 from ._discretization import Discretization
 from ._free_intervals import lifted, lowered
-from ._outcome import outcome
+from ._kkt import Optimum
+from ._outcome import differentiable, optimum, outcome
 from ._problem import OptimalControlProblem
 from ._proximal import ProximalSCP
 from ._scp import AbstractSCP, run
 from ._solution import Solution
 from ._trajectory import Trajectory, straight_line
 from ._transcription import Transcription
+from ._tree import constant, is_differentiated
 from ._types import Array, ArrayLike, is_concrete
 from ._validation import check_guesses, check_precision, check_problem
 
@@ -76,23 +78,37 @@ def solve(
     begun = time.perf_counter()
     check_precision()
     problem = jax.tree.map(_as_parameter, problem)
-    check_problem(problem)
+    numbers = constant(problem)
+    check_problem(numbers)
     if guess is None:
-        guess = straight_line(problem, nodes)
+        guess = straight_line(numbers, nodes)
     guesses = (guess,) if isinstance(guess, Trajectory) else tuple(guess)
-    check_guesses(problem, guesses)
+    check_guesses(numbers, guesses)
     transcription = Transcription(problem, discretization, guesses[0].fractions)
-    solution = _best(method, transcription, guesses, progress)
-    if is_concrete(solution.objective):
-        jax.block_until_ready(solution.objective)
+    solution = _best(method, transcription, constant(guesses), progress)
+    if is_concrete(solution.optimality):
+        jax.block_until_ready(solution.optimality)
         elapsed = jnp.asarray(time.perf_counter() - begun)
         solution = eqx.tree_at(lambda s: s.statistics.seconds, solution, elapsed)
         if throw and not bool(solution.converged):
-            raise SolveError(solution)
+            raise SolveError(constant(solution))
+        if is_differentiated(problem):
+            _check_differentiable(constant(solution))
         return solution
     if throw:
         return solution.status.error_if(solution, ~solution.converged)
     return solution
+
+
+def _check_differentiable(solution: Solution) -> None:
+    """**Raises:** `ValueError` if a solution is not good enough for derivatives."""
+    if bool(solution.polished):
+        return
+    residual = float(solution.optimality)
+    raise ValueError(
+        "derivatives need a solution that meets the optimality conditions to the "
+        f"method's tolerance; this one does so to {residual:.1e}: {solution.message}"
+    )
 
 
 def _as_parameter(leaf: Any) -> Any:
@@ -111,20 +127,35 @@ def _best(
     def attempt(index, guess):
         index = jnp.asarray(index)
         if transcription.discretization.interval_ratio is None:
-            return _run(method, transcription, guess, index, progress)
+            return _from(method, transcription, guess, index, progress)
         paced = lifted(transcription, guess)
-        solution = _run(method, *paced, index, progress)
+        solution = _from(method, *paced, index, progress)
         return lowered(solution, transcription.problem)
 
     if len(guesses) == 1:
         return attempt(0, guesses[0])
     together = jax.tree.map(lambda *each: jnp.stack(each), *guesses)
-    if not is_concrete(eqx.filter((transcription, together), eqx.is_array)):
+    if not is_concrete(eqx.filter(constant((transcription, together)), eqx.is_array)):
         return best_unverified(
             eqx.filter_vmap(attempt)(jnp.arange(len(guesses)), together)
         )
     # Each is awaited: they share the host's QP solver.
     return best([jax.block_until_ready(attempt(*each)) for each in enumerate(guesses)])
+
+
+def _from(
+    method: AbstractSCP,
+    transcription: Transcription,
+    guess: Trajectory,
+    attempt: Array,
+    progress: Callable[[dict], None] | None,
+) -> Solution:
+    """What one guess leads to, as a function of the problem but not of the guess."""
+    numbers, guess = constant((transcription, guess))
+    solution, reached = _run(method, numbers, guess, attempt, progress)
+    if is_concrete(eqx.filter(transcription, eqx.is_array)):
+        return solution
+    return differentiable(transcription, reached, solution)
 
 
 @eqx.filter_jit
@@ -134,7 +165,7 @@ def _run(
     guess: Trajectory,
     attempt: Array,
     progress: Callable[[dict], None] | None,
-) -> Solution:
+) -> tuple[Solution, Optimum]:
     arrays, rest = eqx.partition((transcription, guess, attempt), eqx.is_array)
 
     # A batch shares nothing but its pattern: one after another, each element iterates
@@ -145,4 +176,5 @@ def _run(
         variables = transcription.variables(guess)
         return run(method, transcription, variables, progress, attempt)
 
-    return outcome(transcription, *one(arrays))
+    end = one(arrays)
+    return outcome(transcription, *end), optimum(transcription, *end)

@@ -22,6 +22,15 @@ class Limits(eqx.Module):
     time: tuple[Float[Array, "1"], Float[Array, "1"]]
     integral: tuple[Float[Array, " q"], Float[Array, " q"]]
 
+    @property
+    def ends(self) -> tuple[Variables, Variables]:
+        """The lower and the upper limits of the step."""
+        low, high = (
+            Variables(self.state[side], self.control[side], self.time[side][0])
+            for side in (0, 1)
+        )
+        return low, high
+
 
 class Prices(eqx.Module):
     """What a subproblem charges for virtual variables, all scaled.

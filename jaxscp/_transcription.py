@@ -117,9 +117,9 @@ class Transcription(eqx.Module):
             integral=jnp.zeros(len(self.problem.integrals)),
         )
 
-    def flow(self, substeps: Array | int) -> Flow:
+    def flow(self, substeps: Array | int, *, reversible: bool = False) -> Flow:
         """What carries the state through an interval."""
-        return Flow(self.problem, self.discretization, substeps)
+        return Flow(self.problem, self.discretization, substeps, reversible)
 
     def variables(self, guess: Trajectory) -> Variables:
         """The guess with every limit and fixed boundary entry met."""
@@ -163,15 +163,24 @@ class Transcription(eqx.Module):
             lower, upper = lower.at[node].set(low), upper.at[node].set(high)
         return lower, upper
 
-    def evaluate(self, variables: Variables, substeps: Array | int) -> Residuals:
-        intervals = propagate(*self._arguments(variables, substeps))
+    def evaluate(
+        self, variables: Variables, substeps: Array | int, *, reversible: bool = False
+    ) -> Residuals:
+        """All functions at a point.
+
+        **Arguments:**
+
+        - `reversible`: as in `Flow`.
+        """
+        flow = self.flow(substeps, reversible=reversible)
+        intervals = propagate(flow, *self._arguments(variables))
         return self._residuals(variables, intervals)
 
     def linearize(
         self, variables: Variables, substeps: Array | int
     ) -> tuple[Residuals, Derivatives]:
         """Values and first derivatives, all intervals and nodes at once."""
-        intervals, jacobians = linearize(*self._arguments(variables, substeps))
+        intervals, jacobians = linearize(self.flow(substeps), *self._arguments(variables))
         derivatives = Derivatives(jacobians, self.linearize_nodes(variables))
         return self._residuals(variables, intervals), derivatives
 
@@ -202,9 +211,8 @@ class Transcription(eqx.Module):
         terminal = self.problem.terminal_cost(variables.final_time, variables.states[-1])
         return totals.at[-1].add(terminal)
 
-    def _arguments(self, variables: Variables, substeps):
+    def _arguments(self, variables: Variables):
         return (
-            self.flow(substeps),
             self.grid,
             variables.states,
             self.nodal_controls(variables),

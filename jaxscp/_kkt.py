@@ -1,0 +1,126 @@
+"""The optimality conditions of the discrete problem, as functions of its parameters.
+
+With the active constraints known they are the equations F(w; p) = 0 of Karush, Kuhn and
+Tucker, in the variables and multipliers w and the parameters p: F is the gradient by w of
+
+    J + sum over active constraints (multiplier x distance from the limit)
+      + 1/2 sum over the others (multiplier^2),
+
+and its Jacobian by w therefore symmetric. The function is the Lagrangian where
+multipliers of inactive constraints vanish.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ._active_set import resting
+from ._active_system import PerLimit
+from ._per_constraint import PerConstraint
+from ._scaling import Scaling
+from ._subproblem import step_limits
+from ._transcription import Residuals, Transcription, Variables
+from ._types import Array, Float, Scalar
+
+
+class KKTPoint(eqx.Module):
+    """Variables and multipliers, scaled.
+
+    - `step`: away from the variables of an [`Optimum`][].
+    - `limits`: multipliers of the variables' limits, upper minus lower.
+    """
+
+    step: Variables
+    multipliers: PerConstraint
+    limits: Variables
+
+
+class Optimum(eqx.Module):
+    """A point that meets the optimality conditions: numbers, nothing to differentiate.
+
+    - `variables`: in physical units. `point`: with no step.
+    - `sides`: where each constraint rests: 1 on its upper limit, -1 on its lower one.
+    - `objective`, `integrals`: in their own units.
+    - `polished`: whether the conditions hold well enough for derivatives.
+    """
+
+    variables: Variables
+    point: KKTPoint
+    scaling: Scaling
+    substeps: Array
+    sides: PerLimit
+    objective: Scalar
+    integrals: Float[Array, " q"]
+    polished: Array
+
+    @property
+    def active(self) -> KKTPoint:
+        """1 for each equation that is a constraint's or the Lagrangian's, else 0."""
+        share: PerLimit = jax.tree.map(jnp.abs, self.sides)
+        ones = jax.tree.map(jnp.ones_like, self.point)
+        own = PerConstraint(
+            ones.multipliers.dynamics, share.path, share.between, share.integral
+        )
+        return KKTPoint(ones.step, own, share.variables)
+
+
+def lagrangian(transcription: Transcription, optimum: Optimum, at: KKTPoint) -> Scalar:
+    """The Lagrangian of the active constraints, scaled."""
+    multipliers = _weighed(optimum, at)
+    objective, distances = _distances(transcription, optimum, at.step)
+    products = jax.tree.map(
+        jnp.vdot, (multipliers.multipliers, multipliers.limits), distances
+    )
+    return objective + sum(jax.tree.leaves(products))
+
+
+def conditions(transcription: Transcription, optimum: Optimum, at: KKTPoint) -> KKTPoint:
+    """What is left of the equations F at a point."""
+
+    def potential(at: KKTPoint) -> Scalar:
+        own = (at.multipliers, at.limits)
+        active = (optimum.active.multipliers, optimum.active.limits)
+        idle = jax.tree.map(lambda a, own: jnp.sum((1.0 - a) * own**2), active, own)
+        squares = 0.5 * sum(jax.tree.leaves(idle))
+        return lagrangian(transcription, optimum, at) + squares
+
+    return jax.grad(potential)(at)
+
+
+def totals(
+    transcription: Transcription, optimum: Optimum, step: Variables
+) -> Float[Array, " q"]:
+    """The integrals, in their own units."""
+    return _residuals(transcription, optimum, step).totals * optimum.scaling.integral
+
+
+def _weighed(optimum: Optimum, at: KKTPoint) -> KKTPoint:
+    """With the multipliers of active constraints only."""
+    return jax.tree.map(jnp.multiply, optimum.active, at)
+
+
+def _residuals(
+    transcription: Transcription, optimum: Optimum, step: Variables
+) -> Residuals:
+    variables = optimum.scaling.move(optimum.variables, step)
+    found = transcription.evaluate(variables, optimum.substeps, reversible=True)
+    return optimum.scaling.residuals(found)
+
+
+def _distances(
+    transcription: Transcription, optimum: Optimum, step: Variables
+) -> tuple[Scalar, tuple[PerConstraint, Variables]]:
+    """The objective, and how far each constraint is from where it rests."""
+    sides, scaling = optimum.sides, optimum.scaling
+    residuals = _residuals(transcription, optimum, step)
+    limits = step_limits(transcription, scaling, optimum.variables)
+    rests = jax.tree.map(resting, sides.variables, *limits.ends)
+    integral = residuals.totals - resting(sides.integral, *limits.integral)
+    constraints = PerConstraint(
+        residuals.defects,
+        residuals.path,
+        # Peaks of what has no limit are infinitely low.
+        jnp.where(sides.between > 0.0, residuals.between, 0.0),
+        integral,
+    )
+    return residuals.objective, (constraints, jax.tree.map(jnp.subtract, step, rests))
