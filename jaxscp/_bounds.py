@@ -4,6 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
+from ._tree import constant
 from ._types import Array, ArrayLike, Float, is_concrete
 
 
@@ -21,7 +22,7 @@ class Bounds(eqx.Module):
         steers the automatic scaling of the variable and nothing else. Give it where the
         limits do not say how large the variable becomes; NaN entries mean "automatic".
     - `fixed`: which entries are equalities. Found from the values by default; needed
-        only if bounds are made from traced values inside `jax.jit` or `jax.grad`, where
+        only if bounds are made from traced values inside `jax.jit` or `jax.vmap`, where
         [`Bounds.exactly`][] is the simpler way.
     - `limited`: which entries have a finite lower and which a finite upper limit, found
         likewise; of traced values every entry counts as limited.
@@ -51,6 +52,8 @@ class Bounds(eqx.Module):
             self.scale = None
         else:
             self.scale = jnp.broadcast_to(_inexact(scale), low.shape)
+        # What is fixed or has a limit can be told while derivatives are taken, too.
+        low, high = constant((low, high))
         if fixed is not None:
             self.fixed = fixed
         elif is_concrete(low, high):
@@ -62,9 +65,10 @@ class Bounds(eqx.Module):
         self.limited = (found[0], found[1]) if limited is None else limited
 
     def __check_init__(self):
-        if not is_concrete(self.lower, self.upper):
+        low, high = constant((self.lower, self.upper))
+        if not is_concrete(low, high):
             return
-        lower, upper = np.asarray(self.lower), np.asarray(self.upper)
+        lower, upper = np.asarray(low), np.asarray(high)
         if np.isnan(lower).any() or np.isnan(upper).any():
             at = _largest(np.isnan(lower) | np.isnan(upper))
             raise ValueError(

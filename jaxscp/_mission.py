@@ -31,6 +31,13 @@ CONTROL_UNITS = {
     "thrust": "N",
     **dict.fromkeys(("roll_torque", "pitch_torque", "yaw_torque"), "N m"),
 }
+UNITS = {
+    **STATE_UNITS,
+    **CONTROL_UNITS,
+    "buildings": "m",
+    "data": "bit",
+    "objective": "N^2 s",
+}
 # The states that have limits.
 _ALTITUDE, _TILTS = 2, slice(6, 8)
 # Typical size of each state, for the automatic scaling: how far it moves in a flight of
@@ -159,7 +166,7 @@ class Mission(eqx.Module):
             integrals=integrals,
             state_names=tuple(STATE_UNITS),
             control_names=tuple(CONTROL_UNITS),
-            units={**STATE_UNITS, **CONTROL_UNITS, "buildings": "m", "data": "bit"},
+            units=UNITS,
         )
 
     def guess(self, nodes: int | ArrayLike = 100) -> Trajectory:

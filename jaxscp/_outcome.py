@@ -55,6 +55,8 @@ def outcome(transcription: Transcription, state: SCPState, status: Status) -> So
             seconds=jnp.asarray(jnp.nan),
         ),
         attempts=(Attempt(objective, missed, status, None, jnp.asarray(True)),),
+        packed_transcription=Packed.of(transcription),
+        optimum=_optimum(transcription, state, status),
     )
 
 
@@ -83,7 +85,7 @@ def _violations(transcription: Transcription, state: SCPState) -> Violations:
     )
 
 
-def optimum(transcription: Transcription, state: SCPState, status: Status) -> Optimum:
+def _optimum(transcription: Transcription, state: SCPState, status: Status) -> Optimum:
     """What derivatives of the outcome need."""
     scaling, iterate, solution = state.scaling, state.iterate, state.solution
     limits = step_limits(transcription, scaling, iterate.variables)
@@ -102,12 +104,11 @@ def optimum(transcription: Transcription, state: SCPState, status: Status) -> Op
 
 
 @eqx.filter_jit
-def differentiable(
-    transcription: Transcription, found: Optimum, solution: Solution
-) -> Solution:
+def differentiable(transcription: Transcription, solution: Solution) -> Solution:
     """The solution as a function of the problem: objective, integrals, trajectory and
     multipliers move with it. All else is what it was.
     """
+    found = solution.optimum
     point = optimal_point(transcription, found)
     variables = found.scaling.move(found.variables, point.step)
     totals = optimal_totals(transcription, found)

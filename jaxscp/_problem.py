@@ -59,7 +59,8 @@ class OptimalControlProblem(eqx.Module):
     **Arguments that make messages readable:**
 
     - `state_names`, `control_names`: one name an entry.
-    - `units`: the unit of each name (states, controls, path constraints, integrals).
+    - `units`: the unit of each name (states, controls, path constraints, integrals, and
+        "objective").
     """
 
     dynamics: TimeStateControl
@@ -138,7 +139,7 @@ class OptimalControlProblem(eqx.Module):
         return jnp.concatenate(values) if values else jnp.zeros(0, x.dtype)
 
     def unit(self, name: str) -> str:
-        """The unit of a state, control, path constraint or integral; "" if unknown."""
+        """The unit of one of its names; "" if unknown."""
         return dict(self.units).get(name, "")
 
 

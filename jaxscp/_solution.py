@@ -8,12 +8,14 @@ from ._attempt import Attempt
 from ._diagnosis import Violations, explain
 from ._discretization import Discretization
 from ._flow import Flow
+from ._kkt import Optimum
 from ._packed import Packed
 from ._problem import OptimalControlProblem
 from ._state import History
 from ._status import Status, has_converged
 from ._step import Span
 from ._trajectory import Trajectory
+from ._transcription import Transcription
 from ._types import Array, ArrayLike, Float, Scalar, is_concrete
 
 
@@ -77,6 +79,12 @@ class Solution(eqx.Module):
     - `history`: one record for each subproblem. `statistics`: what it took.
     - `attempts`: how the solve from each guess ended, in their order; this solution is
         the one chosen. `print(*solution.attempts, sep="\n")` shows them.
+    - `optimum`: the same point, scaled, with its active constraints: what derivatives
+        start from.
+
+    Trajectory, objective, integrals and multipliers, and the problem itself, can be
+    differentiated by every inexact leaf of the problem that was solved: [`solve`][]. All
+    else is cut off: its derivatives are zero.
     """
 
     packed_problem: Packed
@@ -91,6 +99,13 @@ class Solution(eqx.Module):
     history: History
     statistics: Statistics
     attempts: tuple[Attempt, ...]
+    packed_transcription: Packed
+    optimum: Optimum
+
+    @property
+    def transcription(self) -> Transcription:
+        """The discrete problem: with free intervals, of the problem with its clock."""
+        return self.packed_transcription.unpack()
 
     @property
     def problem(self) -> OptimalControlProblem:

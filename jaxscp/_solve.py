@@ -12,8 +12,7 @@ import numpy as np
 from ._choice import best, best_unverified
 from ._discretization import Discretization
 from ._free_intervals import lifted, lowered
-from ._kkt import Optimum
-from ._outcome import differentiable, optimum, outcome
+from ._outcome import differentiable, outcome
 from ._problem import OptimalControlProblem
 from ._proximal import ProximalSCP
 from ._scp import AbstractSCP, run
@@ -152,10 +151,10 @@ def _from(
 ) -> Solution:
     """What one guess leads to, as a function of the problem but not of the guess."""
     numbers, guess = constant((transcription, guess))
-    solution, reached = _run(method, numbers, guess, attempt, progress)
+    solution = _run(method, numbers, guess, attempt, progress)
     if is_concrete(eqx.filter(transcription, eqx.is_array)):
         return solution
-    return differentiable(transcription, reached, solution)
+    return differentiable(transcription, solution)
 
 
 @eqx.filter_jit
@@ -165,7 +164,7 @@ def _run(
     guess: Trajectory,
     attempt: Array,
     progress: Callable[[dict], None] | None,
-) -> tuple[Solution, Optimum]:
+) -> Solution:
     arrays, rest = eqx.partition((transcription, guess, attempt), eqx.is_array)
 
     # A batch shares nothing but its pattern: one after another, each element iterates
@@ -176,5 +175,4 @@ def _run(
         variables = transcription.variables(guess)
         return run(method, transcription, variables, progress, attempt)
 
-    end = one(arrays)
-    return outcome(transcription, *end), optimum(transcription, *end)
+    return outcome(transcription, *one(arrays))

@@ -11,7 +11,8 @@ PACKAGE = Path(__file__).parents[1] / "jaxscp"
 # by the empty one.
 FLOORS = (
     {"_types", "_records", "plot._style"},
-    {"_loop", "_tree", "_status", "_bounds", "_hold", "_qp", "_packed"},
+    {"_loop", "_tree"},
+    {"_status", "_bounds", "_hold", "_qp", "_packed"},
     {"models._parameters", "models._smooth"},
     {"_attempt", "_curvature", "_max_norm", "_per_constraint"},
     {"_problem", "models.systems", "models.limits"},
@@ -31,8 +32,9 @@ FLOORS = (
     {"_subproblem"},
     {"_active_system", "_state"},
     {"_active_set"},
-    {"_iteration", "_kkt", "_optimality", "_scp", "_solution"},
-    {"_search", "_sensitivity", "_choice", "_trust_region"},
+    {"_iteration", "_kkt", "_optimality", "_scp"},
+    {"_search", "_sensitivity", "_solution", "_trust_region"},
+    {"_choice"},
     {"_outcome"},
     {"_prospects"},
     {"_proximal", "_paper"},
