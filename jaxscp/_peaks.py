@@ -109,9 +109,7 @@ def largest(
     return jax.lax.stop_gradient(shares)
 
 
-def inner_peaks(
-    slope: Float[Array, " e"], bend: Float[Array, " e"]
-) -> Float[Array, " e"]:
+def inner_peaks(slope: Float[Array, " e"], bend: Float[Array, " e"]) -> Array:
     """Where the first derivative vanishes and the second is negative."""
     return (bend < 0.0) & (jnp.abs(slope) <= _FOUND * jnp.abs(bend))
 

@@ -52,8 +52,9 @@ def prospects(
     noise = 1e-9 * jnp.abs(judgement.reference)
     stationary = unpromising | (judgement.predicted <= noise)
     # Next to a solution a step along what the cost hardly sees promises nothing, yet
-    # leads to it.
-    hopeful = (state.near | (~infeasible & (state.optimality <= close))) & may_polish
+    # leads to it. Before the first step nobody knows how near one is.
+    close_by = (state.optimality <= close) | (state.records == 0)
+    hopeful = (state.near | (~infeasible & close_by)) & may_polish
     stationary &= ~hopeful & ~newton.found & trial.solution.effort.solved
     cheap = stationary & bought & (state.ceiling < max_ceiling)
     return Prospects(

@@ -1,0 +1,267 @@
+"""Derivatives of the optimum: closed forms, and finite differences of whole solves."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from bank import hypersensitive_optimum
+from swing import swing
+
+import jaxscp
+from jaxscp import Bounds, Discretization, FirstOrderHold, textbook
+
+LINEAR = Discretization(hold=FirstOrderHold())
+
+
+def energy(distance, duration):
+    problem = textbook.minimum_energy_double_integrator(distance, duration)
+    return jaxscp.solve(problem, nodes=7, discretization=LINEAR)
+
+
+class TestClosedForms:
+    """Where the hold is exact the discrete optimum is the true one."""
+
+    def test_minimum_energy(self):
+        d, T = 1.3, 0.9
+        slopes = jax.grad(lambda d, T: energy(d, T).objective, (0, 1))(d, T)
+        assert slopes == pytest.approx((24 * d / T**3, -36 * d**2 / T**4), rel=1e-7)
+
+    def test_second_derivatives_of_minimum_energy(self):
+        d, T = 1.3, 0.9
+        hessian = jax.hessian(lambda d, T: energy(d, T).objective, (0, 1))(d, T)
+        mixed = -72 * d / T**4
+        expected = [[24 / T**3, mixed], [mixed, 144 * d**2 / T**5]]
+        np.testing.assert_allclose(hessian, expected, rtol=1e-6)
+
+    def test_trajectory_of_minimum_energy(self):
+        """The acceleration 6 d (1 - 2 t / T) / T^2 and the position are linear in d."""
+        d, T = 1.3, 0.9
+
+        def flight(d):
+            trajectory = energy(d, T).trajectory
+            return trajectory.controls[:, 0], trajectory.states[:, 0]
+
+        forward, reverse = jax.jacfwd(flight)(d), jax.jacrev(flight)(d)
+        s = np.linspace(0, 1, 7)
+        expected = 6 * (1 - 2 * s) / T**2, s**2 * (3 - 2 * s)
+        for derivative in (forward, reverse):
+            for found, known in zip(derivative, expected, strict=True):
+                np.testing.assert_allclose(found, known, atol=1e-7)
+
+    def test_costates_of_minimum_energy(self):
+        """That of the position is constant: -24 d / T^3, the price of the way."""
+        d, T = 1.3, 0.9
+        prices = jax.jacfwd(lambda d: energy(d, T).multipliers.dynamics[:, 0])(d)
+        np.testing.assert_allclose(prices, -24 / T**3, rtol=1e-6)
+
+    def test_minimum_time(self):
+        d, a = 1.3, 0.9
+
+        def time(d, a):
+            problem = textbook.minimum_time_double_integrator(d, a)
+            return jaxscp.solve(problem, nodes=7)
+
+        objective = jax.grad(lambda d, a: time(d, a).objective, (0, 1))(d, a)
+        final = jax.grad(lambda d, a: time(d, a).trajectory.final_time, (0, 1))(d, a)
+        T = 2 * math.sqrt(d / a)
+        for slopes in (objective, final):
+            assert slopes == pytest.approx((T / (2 * d), -T / (2 * a)), rel=1e-6)
+
+    def test_brachistochrone(self):
+        """Slower by the root of gravity, on every grid."""
+
+        def solved(gravity):
+            return jaxscp.solve(textbook.brachistochrone(gravity), nodes=11)
+
+        g = 9.81
+        time, slope = jax.value_and_grad(lambda g: solved(g).trajectory.final_time)(g)
+        assert float(slope) == pytest.approx(-float(time) / (2 * g), rel=1e-6)
+        envelope = jax.grad(lambda g: solved(g).objective)(g)
+        assert float(envelope) == pytest.approx(float(slope), rel=1e-6)
+
+    @pytest.mark.parametrize("limit", [0.3, 0.2501, 0.2499, 0.2, 0.1667, 0.1666, 1 / 9])
+    def test_bryson_denham(self, limit):
+        """On all three branches, and beside both changes of the active set."""
+        touch = 3 * limit
+        nodes = np.linspace(0, 1, 9)
+        if touch < 0.5:
+            parts = (0, touch, 4), (touch, 1 - touch, 3), (1 - touch, 1, 4)
+            nodes = np.unique(np.concatenate([np.linspace(*part) for part in parts]))
+
+        def cost(limit):
+            problem = textbook.bryson_denham(limit)
+            return jaxscp.solve(problem, nodes=nodes, discretization=LINEAR).objective
+
+        slope = float(jax.grad(cost)(limit))
+        if limit >= 1 / 4:
+            expected = 0.0
+        elif limit >= 1 / 6:
+            expected = -48 * (1 - 4 * limit)
+        else:
+            expected = -4 / (9 * limit**2)
+        assert slope == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+    def test_hypersensitive_converges_with_the_grid(self):
+        """By both ends: twice as many intervals, a quarter of the error or less."""
+
+        def cost(ends, nodes):
+            problem = textbook.hypersensitive()
+            start, end = (Bounds.exactly(ends[i][None]) for i in (0, 1))
+            problem = eqx.tree_at(
+                lambda p: (p.initial_state, p.final_state), problem, (start, end)
+            )
+            return jaxscp.solve(problem, nodes=nodes, discretization=LINEAR).objective
+
+        ends, step = jnp.array([1.5, 1.0]), 1e-6
+        known = []
+        for axis in np.eye(2):
+            high, low = (
+                hypersensitive_optimum(*(ends + s * axis), 10.0) for s in (step, -step)
+            )
+            known.append((high - low) / (2 * step))
+        errors = [
+            np.abs(jax.grad(cost)(ends, nodes) - np.array(known)) for nodes in (21, 41)
+        ]
+        assert np.all(errors[0] < 0.1)
+        assert np.all(errors[1] < 0.27 * errors[0])
+
+
+# Converged far beyond what is compared.
+SHARP = jaxscp.ProximalSCP(tolerance=1e-11)
+GRID = Discretization(between=1)
+
+
+def swung(problem, guess=None, **settings):
+    settings = {"nodes": 9, "discretization": GRID} | settings
+    return jaxscp.solve(problem, guess, SHARP, **settings)
+
+
+def moved(problem, direction, step):
+    """The problem a step along a direction; `None` there is what stays."""
+    return jax.tree.map(
+        lambda leaf, way: leaf if way is None else leaf + step * way,
+        problem,
+        direction,
+        is_leaf=lambda leaf: leaf is None,
+    )
+
+
+def drawn_direction(problem, seed):
+    """Random numbers for finite parameters, of their own size where that is known."""
+    draw = np.random.default_rng(seed)
+
+    def of(leaf):
+        size = np.where(np.isfinite(leaf) & (leaf != 0.0), np.abs(leaf), 0.0)
+        return jnp.asarray(0.3 * size * draw.normal(size=leaf.shape))
+
+    parameters = eqx.filter(problem, eqx.is_inexact_array)
+    direction = jax.tree.map(of, parameters)
+    # Fixed entries have one value: both ends move together.
+    for name in ("initial_state", "final_state"):
+        way = getattr(direction, name).lower
+        direction = eqx.tree_at(
+            lambda d, name=name: getattr(d, name).upper, direction, way
+        )
+    return direction
+
+
+def fields(solution):
+    """Everything that can be differentiated, in one vector."""
+    multipliers = solution.multipliers
+    parts = (
+        solution.objective,
+        solution.integrals["lift"],
+        solution.trajectory.final_time,
+        solution.trajectory.states,
+        solution.trajectory.controls,
+        multipliers.dynamics,
+        multipliers.path_constraints["ceiling"],
+        multipliers.path_between["ceiling"],
+        multipliers.integrals["lift"],
+        multipliers.state,
+        multipliers.control,
+    )
+    return jnp.concatenate([jnp.ravel(part) for part in parts])
+
+
+@pytest.fixture(scope="module")
+def problem():
+    return swing()
+
+
+@pytest.fixture(scope="module")
+def solution(problem):
+    return swung(problem)
+
+
+class TestOfEverything:
+    """A swing-up with a path constraint, an integral and a free final time."""
+
+    def test_the_constraints_are_active(self, solution):
+        """Or what follows would say nothing about them."""
+        assert float(jnp.max(solution.multipliers.path_constraints["ceiling"])) > 1e-3
+        assert float(jnp.max(solution.multipliers.path_between["ceiling"])) > 1e-3
+        assert abs(float(solution.multipliers.integrals["lift"])) > 1e-3
+        assert float(jnp.max(jnp.abs(solution.multipliers.control))) > 1e-3
+
+    @pytest.mark.parametrize("seed", range(3))
+    def test_forward_reverse_and_differences_agree(self, problem, solution, seed):
+        direction = drawn_direction(problem, seed)
+        guess = solution.trajectory
+
+        def of(problem):
+            return fields(swung(problem, guess))
+
+        _, forward = eqx.filter_jvp(of, (problem,), (direction,))
+        weights = jnp.asarray(np.random.default_rng(seed).normal(size=forward.shape))
+        gradient = eqx.filter_grad(lambda problem: weights @ of(problem))(problem)
+        products = jax.tree.map(jnp.vdot, gradient, direction)
+        reverse = sum(jax.tree.leaves(products))
+        assert float(reverse) == pytest.approx(float(weights @ forward), rel=1e-9)
+        step = 1e-5
+        high, low = (of(moved(problem, direction, s)) for s in (step, -step))
+        differences = (high - low) / (2 * step)
+        scale = float(jnp.max(jnp.abs(differences)))
+        np.testing.assert_allclose(forward, differences, rtol=1e-4, atol=1e-6 * scale)
+
+    def test_transformed(self, problem, solution):
+        """Inside and outside `jax.jit`, and a batch as a loop."""
+        guess = solution.trajectory
+
+        def cost(factor):
+            torque = eqx.tree_at(lambda p: p.dynamics.torque, problem, factor)
+            return swung(torque, guess, throw=False).trajectory.final_time
+
+        factors = jnp.array([1.0, 1.02, 0.97])
+        loop = jnp.stack([jax.grad(cost)(factor) for factor in factors])
+        for gradient in (
+            jax.vmap(jax.grad(cost)),
+            jax.jit(jax.vmap(jax.grad(cost))),
+            jax.grad(lambda factors: jnp.sum(jax.vmap(cost)(factors))),
+            jax.vmap(jax.grad(jax.jit(cost))),
+        ):
+            np.testing.assert_allclose(gradient(factors), loop, rtol=1e-9)
+
+    @pytest.mark.parametrize(
+        "units",
+        [{"cost": 1e6}, {"angle": 0.01, "time": 60.0, "cost": 1e3, "ceiling": 0.1}],
+        ids=str,
+    )
+    def test_units_do_not_matter(self, problem, units):
+        """Relative derivatives are pure numbers."""
+
+        def relative(problem):
+            def logarithm(data):
+                own = eqx.tree_at(
+                    lambda p: p.integrals["lift"].bounds.lower, problem, data
+                )
+                found = swung(own)
+                return jnp.log(found.objective), jnp.log(found.trajectory.final_time)
+
+            data = problem.integrals["lift"].bounds.lower
+            return data * jnp.stack(jax.jacrev(logarithm)(data))
+
+        np.testing.assert_allclose(relative(swing(**units)), relative(problem), rtol=1e-8)
