@@ -57,6 +57,17 @@ class TestClosedForms:
         prices = jax.jacfwd(lambda d: energy(d, T).multipliers.dynamics[:, 0])(d)
         np.testing.assert_allclose(prices, -24 / T**3, rtol=1e-6)
 
+    def test_transformed(self):
+        """A batch is a loop; `jax.jit` changes nothing, inside or outside."""
+
+        def effort(d):
+            return jnp.sum(energy(d, 0.9).trajectory.controls ** 2)
+
+        ways = jnp.array([1.3, 1.1, 2.0])
+        loop = jnp.stack([jax.grad(effort)(d) for d in ways])
+        for gradient in (jax.vmap(jax.grad(effort)), jax.vmap(jax.grad(jax.jit(effort)))):
+            np.testing.assert_allclose(gradient(ways), loop, rtol=1e-9)
+
     def test_minimum_time(self):
         d, a = 1.3, 0.9
 
@@ -131,12 +142,11 @@ class TestClosedForms:
 
 # Converged far beyond what is compared.
 SHARP = jaxscp.ProximalSCP(tolerance=1e-11)
-GRID = Discretization(between=1)
 
 
-def swung(problem, guess=None, **settings):
-    settings = {"nodes": 9, "discretization": GRID} | settings
-    return jaxscp.solve(problem, guess, SHARP, **settings)
+def swung(problem, guess=None, between=0):
+    grid = Discretization(between=between)
+    return jaxscp.solve(problem, guess, SHARP, nodes=15, discretization=grid)
 
 
 def moved(problem, direction, step):
@@ -179,7 +189,6 @@ def fields(solution):
         solution.trajectory.controls,
         multipliers.dynamics,
         multipliers.path_constraints["ceiling"],
-        multipliers.path_between["ceiling"],
         multipliers.integrals["lift"],
         multipliers.state,
         multipliers.control,
@@ -189,7 +198,10 @@ def fields(solution):
 
 @pytest.fixture(scope="module")
 def problem():
-    return swing()
+    """With a torque that is at its limit for a while."""
+    limit = jnp.full(1, 0.8)
+    ends = (-limit, limit)
+    return eqx.tree_at(lambda p: (p.control.lower, p.control.upper), swing(), ends)
 
 
 @pytest.fixture(scope="module")
@@ -203,7 +215,6 @@ class TestOfEverything:
     def test_the_constraints_are_active(self, solution):
         """Or what follows would say nothing about them."""
         assert float(jnp.max(solution.multipliers.path_constraints["ceiling"])) > 1e-3
-        assert float(jnp.max(solution.multipliers.path_between["ceiling"])) > 1e-3
         assert abs(float(solution.multipliers.integrals["lift"])) > 1e-3
         assert float(jnp.max(jnp.abs(solution.multipliers.control))) > 1e-3
 
@@ -225,32 +236,30 @@ class TestOfEverything:
         high, low = (of(moved(problem, direction, s)) for s in (step, -step))
         differences = (high - low) / (2 * step)
         scale = float(jnp.max(jnp.abs(differences)))
-        np.testing.assert_allclose(forward, differences, rtol=1e-4, atol=1e-6 * scale)
+        np.testing.assert_allclose(forward, differences, rtol=1e-4, atol=1e-5 * scale)
 
-    def test_transformed(self, problem, solution):
-        """Inside and outside `jax.jit`, and a batch as a loop."""
-        guess = solution.trajectory
+    def test_between_the_nodes(self, problem):
+        """Where a peak between two nodes touches its limit, at a moment that moves."""
+        found = swung(problem, between=1)
+        assert float(jnp.max(found.multipliers.path_between["ceiling"])) > 1e-3
+        direction, weights = drawn_direction(problem, 0), jnp.arange(15.0)
 
-        def cost(factor):
-            torque = eqx.tree_at(lambda p: p.dynamics.torque, problem, factor)
-            return swung(torque, guess, throw=False).trajectory.final_time
+        def of(problem):
+            return weights @ swung(problem, found.trajectory, 1).trajectory.states[:, 1]
 
-        factors = jnp.array([1.0, 1.02, 0.97])
-        loop = jnp.stack([jax.grad(cost)(factor) for factor in factors])
-        for gradient in (
-            jax.vmap(jax.grad(cost)),
-            jax.jit(jax.vmap(jax.grad(cost))),
-            jax.grad(lambda factors: jnp.sum(jax.vmap(cost)(factors))),
-            jax.vmap(jax.grad(jax.jit(cost))),
-        ):
-            np.testing.assert_allclose(gradient(factors), loop, rtol=1e-9)
+        gradient = eqx.filter_grad(of)(problem)
+        products = jax.tree.map(jnp.vdot, gradient, direction)
+        step = 1e-5
+        high, low = (of(moved(problem, direction, s)) for s in (step, -step))
+        reverse = float(sum(jax.tree.leaves(products)))
+        assert reverse == pytest.approx(float(high - low) / (2 * step), rel=1e-5)
 
     @pytest.mark.parametrize(
         "units",
         [{"cost": 1e6}, {"angle": 0.01, "time": 60.0, "cost": 1e3, "ceiling": 0.1}],
         ids=str,
     )
-    def test_units_do_not_matter(self, problem, units):
+    def test_units_do_not_matter(self, units):
         """Relative derivatives are pure numbers."""
 
         def relative(problem):
@@ -264,4 +273,4 @@ class TestOfEverything:
             data = problem.integrals["lift"].bounds.lower
             return data * jnp.stack(jax.jacrev(logarithm)(data))
 
-        np.testing.assert_allclose(relative(swing(**units)), relative(problem), rtol=1e-8)
+        np.testing.assert_allclose(relative(swing(**units)), relative(swing()), rtol=1e-8)
