@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ._captured import check_captured
 from ._choice import best, best_unverified
 from ._discretization import Discretization
 from ._free_intervals import lifted, lowered
@@ -48,6 +49,14 @@ def solve(
     New numbers in the problem or the guess compile nothing, other functions, other
     numbers of nodes and other settings do.
 
+    Can be differentiated, forward and backward, by every inexact leaf of the problem and
+    by the time grid: the objective by the envelope theorem, twice if asked; trajectory,
+    integrals and multipliers by the implicit function theorem at the solution, with the
+    exact Hessian of the Lagrangian. Neither unrolls the iteration. A solution does not
+    depend on its guess. The scales of `Bounds` steer the iteration only and have derivative
+    zero. Where a constraint is weakly active, its multiplier and its slack both zero,
+    there are two one-sided derivatives, and one of them is returned.
+
     **Main arguments:**
 
     - `problem`: what to solve.
@@ -72,11 +81,14 @@ def solve(
 
     **Raises:** `RuntimeError` if JAX is not in 64-bit mode, `ValueError` for a problem
     or guess that makes no sense, [`SolveError`][] without convergence; inside `jax.jit`
-    that is Equinox's runtime error with the status' sentence.
+    that is Equinox's runtime error with the status' sentence. `ValueError` if derivatives
+    are taken of a solution that is not polished, or by a number that a function of the
+    problem captured; inside `jax.jit` derivatives of a solution not polished are NaN.
     """
     begun = time.perf_counter()
     check_precision()
     problem = jax.tree.map(_as_parameter, problem)
+    check_captured(problem)
     numbers = constant(problem)
     check_problem(numbers)
     if guess is None:
@@ -104,9 +116,10 @@ def _check_differentiable(solution: Solution) -> None:
     if bool(solution.polished):
         return
     residual = float(solution.optimality)
+    met = f"have a residual of {residual:.1e}" if residual < np.inf else "are not known"
     raise ValueError(
-        "derivatives need a solution that meets the optimality conditions to the "
-        f"method's tolerance; this one does so to {residual:.1e}: {solution.message}"
+        "derivatives need a solution of ProximalSCP, polished to its tolerance; the "
+        f"optimality conditions of this one {met}. {solution.message}"
     )
 
 

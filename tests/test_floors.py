@@ -19,7 +19,7 @@ FLOORS = (
     {"models.channel", "models.obstacles", "models.quadrotor"},
     {"_trajectory", "_routes", "_paced_problem", "models", "textbook"},
     {"_discretization", "_step", "_repropagation", "_limit_checks"},
-    {"_peaks", "_verification", "_diagnosis", "_validation"},
+    {"_captured", "_peaks", "_verification", "_diagnosis", "_validation"},
     {"_flow", "verify"},
     {"_intervals", "_second_order"},
     {"_transcription"},

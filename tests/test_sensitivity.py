@@ -274,3 +274,54 @@ class TestOfEverything:
             return data * jnp.stack(jax.jacrev(logarithm)(data))
 
         np.testing.assert_allclose(relative(swing(**units)), relative(swing()), rtol=1e-8)
+
+
+class TestRefusals:
+    """Where there is no derivative, no number is returned in silence."""
+
+    @staticmethod
+    def pushed(mass):
+        def dynamics(t, x, u):
+            return jnp.stack([x[1], u[0] / mass])
+
+        problem = textbook.minimum_energy_double_integrator()
+        return eqx.tree_at(lambda p: p.dynamics, problem, dynamics)
+
+    def test_a_number_a_function_captured(self):
+        def cost(mass):
+            return jaxscp.solve(self.pushed(mass), nodes=7).objective
+
+        with pytest.raises(ValueError, match=r"dynamics captured 'mass'.*as a field"):
+            jax.grad(cost)(2.0)
+
+    @pytest.mark.parametrize(
+        "method", [jaxscp.ProximalSCP(max_polish=1), jaxscp.PaperSCP()], ids=type
+    )
+    def test_a_solution_that_is_not_polished(self, method):
+        def time(limit):
+            problem = textbook.minimum_time_double_integrator(1.0, limit)
+            solution = jaxscp.solve(problem, method=method, nodes=7, throw=False)
+            return solution.trajectory.final_time
+
+        with pytest.raises(ValueError, match=r"derivatives need a solution of Prox"):
+            jax.grad(time)(1.0)
+        assert np.isnan(jax.jit(jax.grad(time))(1.0))
+
+    def test_what_is_cut_off(self):
+        """Numbers about the solve are no functions of the problem."""
+
+        def effort(d):
+            return energy(d, 0.9).history.objective[0] + energy(d, 0.9).optimality
+
+        assert float(jax.grad(effort)(1.3)) == 0.0
+
+    def test_the_guess_does_not_matter(self):
+        problem = textbook.minimum_energy_double_integrator()
+        guess = jaxscp.straight_line(problem, 7)
+
+        def cost(guess):
+            return jaxscp.solve(problem, guess, discretization=LINEAR).objective
+
+        slopes = eqx.filter_grad(cost)(guess)
+        assert not np.any(slopes.states)
+        assert not np.any(slopes.controls)

@@ -1,0 +1,58 @@
+"""What a problem's functions capture, and derivatives that would be lost there."""
+
+import functools
+import inspect
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import jax
+
+from ._problem import OptimalControlProblem
+from ._tree import is_differentiated
+
+
+def check_captured(problem: OptimalControlProblem) -> None:
+    """**Raises:** `ValueError` where a function captured a number by which a derivative
+    is being taken: it is no leaf of the problem, and its derivative would be zero.
+    """
+    for path, leaf in jax.tree_util.tree_leaves_with_path(problem):
+        if not callable(leaf):
+            continue
+        for name, value in _captured(leaf):
+            if is_differentiated(value):
+                where = jax.tree_util.keystr(path, simple=True, separator=".")
+                raise ValueError(
+                    f"{where} captured {name!r}, by which a derivative is being taken; "
+                    "only leaves of the problem have derivatives. Make the function a "
+                    f"Module with {name!r} as a field: class Dynamics(equinox.Module): "
+                    f"{name}: jax.Array; def __call__(self, t, x, u): ..."
+                )
+
+
+def _captured(function: Callable, depth: int = 3) -> Iterator[tuple[str, Any]]:
+    """Names and values a function holds, those of functions it calls included."""
+    if isinstance(function, functools.partial):
+        held = {f"argument {place}": value for place, value in enumerate(function.args)}
+        held |= function.keywords | {"function": function.func}
+    elif inspect.ismethod(function):
+        held = {"self": function.__self__, function.__name__: function.__func__}
+    elif inspect.isfunction(function):
+        cells = zip(
+            function.__code__.co_freevars, function.__closure__ or (), strict=True
+        )
+        held = {name: cell.cell_contents for name, cell in cells if _is_filled(cell)}
+    else:
+        return
+    for name, value in held.items():
+        yield name, value
+        if depth and callable(value):
+            yield from _captured(value, depth - 1)
+
+
+def _is_filled(cell: Any) -> bool:
+    """A function that calls itself may be looked at before it has its name."""
+    try:
+        cell.cell_contents  # noqa: B018
+    except ValueError:
+        return False
+    return True
