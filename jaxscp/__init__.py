@@ -18,6 +18,11 @@ from ._problem import (
 from ._proximal import ProximalSCP as ProximalSCP
 from ._qp import PIQP as PIQP
 from ._scp import AbstractSCP as AbstractSCP
+from ._shadow_prices import (
+    ShadowPrice as ShadowPrice,
+    ShadowPrices as ShadowPrices,
+    shadow_prices as shadow_prices,
+)
 from ._solution import (
     Multipliers as Multipliers,
     Solution as Solution,

@@ -111,7 +111,7 @@ def differentiable(transcription: Transcription, solution: Solution) -> Solution
     found = solution.optimum
     point = optimal_point(transcription, found)
     variables = found.scaling.move(found.variables, point.step)
-    totals = optimal_totals(transcription, found)
+    totals = optimal_totals(transcription, found, point)
     return dataclasses.replace(
         solution,
         packed_problem=Packed.of(transcription.problem),

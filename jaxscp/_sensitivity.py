@@ -67,10 +67,14 @@ def _optimal_point_jvp(primals, tangents):
 
         return ravel_pytree(jax.jvp(at, (point,), (unravel(change),))[1])[0]
 
-    def solver(_, right: Float[Array, " w"]) -> Float[Array, " w"]:
+    # Traced once for both directions.
+    @jax.jit
+    def solved(right: Float[Array, " w"]) -> Float[Array, " w"]:
         return ravel_pytree(_solved(numbers[0], numbers[1], unravel(right)))[0]
 
-    moved = jax.lax.custom_linear_solve(matrix, -flat, solver, symmetric=True)
+    moved = jax.lax.custom_linear_solve(
+        matrix, -flat, lambda _, right: solved(right), symmetric=True
+    )
     return point, _or_nan(optimum, unravel(moved))
 
 
@@ -94,24 +98,18 @@ def _optimal_objective_jvp(primals, tangents):
     return value, _or_nan(optimum, optimum.scaling.objective * change)
 
 
-@eqx.filter_custom_jvp
-def optimal_totals(transcription: Transcription, optimum: Optimum) -> Float[Array, " q"]:
-    """The integrals over the whole flight."""
-    del transcription
-    return optimum.integrals
+@eqx.filter_jit
+def optimal_totals(
+    transcription: Transcription, optimum: Optimum, point: KKTPoint
+) -> Float[Array, " q"]:
+    """The integrals over the whole flight, at `optimal_point`."""
 
+    @jax.checkpoint
+    def of_arrays(arrays, step):
+        return totals(eqx.combine(arrays, others), optimum, step)
 
-@optimal_totals.def_jvp
-def _optimal_totals_jvp(primals, tangents):
-    transcription, optimum = primals
-    change = _along(
-        lambda transcription: totals(
-            transcription, optimum, optimal_point(transcription, optimum).step
-        ),
-        transcription,
-        tangents[0],
-    )
-    return optimal_totals(transcription, optimum), _or_nan(optimum, change)
+    arrays, others = eqx.partition(transcription, eqx.is_array)
+    return of_arrays(arrays, point.step)
 
 
 def _along(function, transcription: Transcription, tangent):
@@ -136,7 +134,9 @@ def _is_none(leaf) -> bool:
 
 def _or_nan(optimum: Optimum, tangent):
     """A point that does not meet the conditions has no derivatives."""
-    return jax.tree.map(lambda leaf: jnp.where(optimum.polished, leaf, jnp.nan), tangent)
+    # A factor, not a choice: that would be zero on the way back.
+    factor = jnp.where(optimum.polished, 1.0, jnp.nan)
+    return jax.tree.map(lambda leaf: factor * leaf, tangent)
 
 
 def _solved(transcription: Transcription, optimum: Optimum, right: KKTPoint) -> KKTPoint:

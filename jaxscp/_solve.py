@@ -53,9 +53,9 @@ def solve(
     by the time grid: the objective by the envelope theorem, twice if asked; trajectory,
     integrals and multipliers by the implicit function theorem at the solution, with the
     exact Hessian of the Lagrangian. Neither unrolls the iteration. A solution does not
-    depend on its guess. The scales of `Bounds` steer the iteration only and have derivative
-    zero. Where a constraint is weakly active, its multiplier and its slack both zero,
-    there are two one-sided derivatives, and one of them is returned.
+    depend on its guess, nor on the scales of `Bounds`, which steer the iteration only.
+    Where a constraint is weakly active, its multiplier and its slack both zero, there are
+    two one-sided derivatives, and one of them is returned.
 
     **Main arguments:**
 

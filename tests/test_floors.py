@@ -34,7 +34,7 @@ FLOORS = (
     {"_active_set"},
     {"_iteration", "_kkt", "_optimality", "_scp"},
     {"_search", "_sensitivity", "_solution", "_trust_region"},
-    {"_choice"},
+    {"_choice", "_shadow_prices"},
     {"_outcome"},
     {"_prospects"},
     {"_proximal", "_paper"},

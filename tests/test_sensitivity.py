@@ -1,144 +1,14 @@
-"""Derivatives of the optimum: closed forms, and finite differences of whole solves."""
-
-import math
+"""Derivatives of the optimum, against finite differences of whole solves."""
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from bank import hypersensitive_optimum
 from swing import swing
 
 import jaxscp
-from jaxscp import Bounds, Discretization, FirstOrderHold, textbook
-
-LINEAR = Discretization(hold=FirstOrderHold())
-
-
-def energy(distance, duration):
-    problem = textbook.minimum_energy_double_integrator(distance, duration)
-    return jaxscp.solve(problem, nodes=7, discretization=LINEAR)
-
-
-class TestClosedForms:
-    """Where the hold is exact the discrete optimum is the true one."""
-
-    def test_minimum_energy(self):
-        d, T = 1.3, 0.9
-        slopes = jax.grad(lambda d, T: energy(d, T).objective, (0, 1))(d, T)
-        assert slopes == pytest.approx((24 * d / T**3, -36 * d**2 / T**4), rel=1e-7)
-
-    def test_second_derivatives_of_minimum_energy(self):
-        d, T = 1.3, 0.9
-        hessian = jax.hessian(lambda d, T: energy(d, T).objective, (0, 1))(d, T)
-        mixed = -72 * d / T**4
-        expected = [[24 / T**3, mixed], [mixed, 144 * d**2 / T**5]]
-        np.testing.assert_allclose(hessian, expected, rtol=1e-6)
-
-    def test_trajectory_of_minimum_energy(self):
-        """The acceleration 6 d (1 - 2 t / T) / T^2 and the position are linear in d."""
-        d, T = 1.3, 0.9
-
-        def flight(d):
-            trajectory = energy(d, T).trajectory
-            return trajectory.controls[:, 0], trajectory.states[:, 0]
-
-        forward, reverse = jax.jacfwd(flight)(d), jax.jacrev(flight)(d)
-        s = np.linspace(0, 1, 7)
-        expected = 6 * (1 - 2 * s) / T**2, s**2 * (3 - 2 * s)
-        for derivative in (forward, reverse):
-            for found, known in zip(derivative, expected, strict=True):
-                np.testing.assert_allclose(found, known, atol=1e-7)
-
-    def test_costates_of_minimum_energy(self):
-        """That of the position is constant: -24 d / T^3, the price of the way."""
-        d, T = 1.3, 0.9
-        prices = jax.jacfwd(lambda d: energy(d, T).multipliers.dynamics[:, 0])(d)
-        np.testing.assert_allclose(prices, -24 / T**3, rtol=1e-6)
-
-    def test_transformed(self):
-        """A batch is a loop; `jax.jit` changes nothing, inside or outside."""
-
-        def effort(d):
-            return jnp.sum(energy(d, 0.9).trajectory.controls ** 2)
-
-        ways = jnp.array([1.3, 1.1, 2.0])
-        loop = jnp.stack([jax.grad(effort)(d) for d in ways])
-        for gradient in (jax.vmap(jax.grad(effort)), jax.vmap(jax.grad(jax.jit(effort)))):
-            np.testing.assert_allclose(gradient(ways), loop, rtol=1e-9)
-
-    def test_minimum_time(self):
-        d, a = 1.3, 0.9
-
-        def time(d, a):
-            problem = textbook.minimum_time_double_integrator(d, a)
-            return jaxscp.solve(problem, nodes=7)
-
-        objective = jax.grad(lambda d, a: time(d, a).objective, (0, 1))(d, a)
-        final = jax.grad(lambda d, a: time(d, a).trajectory.final_time, (0, 1))(d, a)
-        T = 2 * math.sqrt(d / a)
-        for slopes in (objective, final):
-            assert slopes == pytest.approx((T / (2 * d), -T / (2 * a)), rel=1e-6)
-
-    def test_brachistochrone(self):
-        """Slower by the root of gravity, on every grid."""
-
-        def solved(gravity):
-            return jaxscp.solve(textbook.brachistochrone(gravity), nodes=11)
-
-        g = 9.81
-        time, slope = jax.value_and_grad(lambda g: solved(g).trajectory.final_time)(g)
-        assert float(slope) == pytest.approx(-float(time) / (2 * g), rel=1e-6)
-        envelope = jax.grad(lambda g: solved(g).objective)(g)
-        assert float(envelope) == pytest.approx(float(slope), rel=1e-6)
-
-    @pytest.mark.parametrize("limit", [0.3, 0.2501, 0.2499, 0.2, 0.1667, 0.1666, 1 / 9])
-    def test_bryson_denham(self, limit):
-        """On all three branches, and beside both changes of the active set."""
-        touch = 3 * limit
-        nodes = np.linspace(0, 1, 9)
-        if touch < 0.5:
-            parts = (0, touch, 4), (touch, 1 - touch, 3), (1 - touch, 1, 4)
-            nodes = np.unique(np.concatenate([np.linspace(*part) for part in parts]))
-
-        def cost(limit):
-            problem = textbook.bryson_denham(limit)
-            return jaxscp.solve(problem, nodes=nodes, discretization=LINEAR).objective
-
-        slope = float(jax.grad(cost)(limit))
-        if limit >= 1 / 4:
-            expected = 0.0
-        elif limit >= 1 / 6:
-            expected = -48 * (1 - 4 * limit)
-        else:
-            expected = -4 / (9 * limit**2)
-        assert slope == pytest.approx(expected, rel=1e-6, abs=1e-6)
-
-    def test_hypersensitive_converges_with_the_grid(self):
-        """By both ends: twice as many intervals, a quarter of the error or less."""
-
-        def cost(ends, nodes):
-            problem = textbook.hypersensitive()
-            start, end = (Bounds.exactly(ends[i][None]) for i in (0, 1))
-            problem = eqx.tree_at(
-                lambda p: (p.initial_state, p.final_state), problem, (start, end)
-            )
-            return jaxscp.solve(problem, nodes=nodes, discretization=LINEAR).objective
-
-        ends, step = jnp.array([1.5, 1.0]), 1e-6
-        known = []
-        for axis in np.eye(2):
-            high, low = (
-                hypersensitive_optimum(*(ends + s * axis), 10.0) for s in (step, -step)
-            )
-            known.append((high - low) / (2 * step))
-        errors = [
-            np.abs(jax.grad(cost)(ends, nodes) - np.array(known)) for nodes in (21, 41)
-        ]
-        assert np.all(errors[0] < 0.1)
-        assert np.all(errors[1] < 0.27 * errors[0])
-
+from jaxscp import Discretization
 
 # Converged far beyond what is compared.
 SHARP = jaxscp.ProximalSCP(tolerance=1e-11)
@@ -276,52 +146,48 @@ class TestOfEverything:
         np.testing.assert_allclose(relative(swing(**units)), relative(swing()), rtol=1e-8)
 
 
-class TestRefusals:
-    """Where there is no derivative, no number is returned in silence."""
+class TestShadowPrices:
+    """What limits cost, against the derivative of the whole solve."""
 
-    @staticmethod
-    def pushed(mass):
-        def dynamics(t, x, u):
-            return jnp.stack([x[1], u[0] / mass])
+    def test_are_derivatives_of_the_objective(self, problem, solution):
+        gradient = eqx.filter_grad(lambda p: swung(p, solution.trajectory).objective)
+        slopes, prices = gradient(problem), jaxscp.shadow_prices(solution)
+        of = prices.of
+        pairs = [
+            (of("lift"), slopes.integrals["lift"].bounds.lower),
+            (of("u[0]", "upper limit"), slopes.control.upper[0]),
+            (of("u[0]", "lower limit"), slopes.control.lower[0]),
+            (of("final time", "upper limit"), slopes.final_time.upper),
+            (of("x[0]", "upper limit"), slopes.state.upper[0]),
+        ]
+        for node, end in (("first", "initial_state"), ("last", "final_state")):
+            ends = getattr(slopes, end)
+            for index in range(2):
+                both = ends.lower[index] + ends.upper[index]
+                pairs.append((of(f"x[{index}]", f"{node} value"), both))
+        for price, slope in pairs:
+            assert float(price) == pytest.approx(float(slope), rel=1e-7, abs=1e-9)
+        assert float(of("lift")) > 1e-3
+        assert float(of("u[0]", "upper limit")) < -1e-3
 
-        problem = textbook.minimum_energy_double_integrator()
-        return eqx.tree_at(lambda p: p.dynamics, problem, dynamics)
+    def test_a_margin(self, problem, solution):
+        """That of a path constraint, by finite differences of a constant added to it."""
 
-    def test_a_number_a_function_captured(self):
-        def cost(mass):
-            return jaxscp.solve(self.pushed(mass), nodes=7).objective
+        class Narrower(eqx.Module):
+            constraint: eqx.Module
+            margin: jax.Array
 
-        with pytest.raises(ValueError, match=r"dynamics captured 'mass'.*as a field"):
-            jax.grad(cost)(2.0)
+            def __call__(self, t, x, u):
+                return self.constraint(t, x, u) + self.margin
 
-    @pytest.mark.parametrize(
-        "method", [jaxscp.ProximalSCP(max_polish=1), jaxscp.PaperSCP()], ids=type
-    )
-    def test_a_solution_that_is_not_polished(self, method):
-        def time(limit):
-            problem = textbook.minimum_time_double_integrator(1.0, limit)
-            solution = jaxscp.solve(problem, method=method, nodes=7, throw=False)
-            return solution.trajectory.final_time
+        def cost(margin):
+            ceiling = Narrower(problem.path_constraints["ceiling"], margin)
+            narrower = eqx.tree_at(
+                lambda p: p.path_constraints["ceiling"], problem, ceiling
+            )
+            return swung(narrower, solution.trajectory).objective
 
-        with pytest.raises(ValueError, match=r"derivatives need a solution of Prox"):
-            jax.grad(time)(1.0)
-        assert np.isnan(jax.jit(jax.grad(time))(1.0))
-
-    def test_what_is_cut_off(self):
-        """Numbers about the solve are no functions of the problem."""
-
-        def effort(d):
-            return energy(d, 0.9).history.objective[0] + energy(d, 0.9).optimality
-
-        assert float(jax.grad(effort)(1.3)) == 0.0
-
-    def test_the_guess_does_not_matter(self):
-        problem = textbook.minimum_energy_double_integrator()
-        guess = jaxscp.straight_line(problem, 7)
-
-        def cost(guess):
-            return jaxscp.solve(problem, guess, discretization=LINEAR).objective
-
-        slopes = eqx.filter_grad(cost)(guess)
-        assert not np.any(slopes.states)
-        assert not np.any(slopes.controls)
+        price = float(jaxscp.shadow_prices(solution).of("ceiling"))
+        assert price > 1e-3
+        high, low = (float(cost(jnp.asarray(s))) for s in (1e-5, -1e-5))
+        assert price == pytest.approx((high - low) / 2e-5, rel=1e-5)
