@@ -37,9 +37,8 @@ def _captured(function: Callable, depth: int = 3) -> Iterator[tuple[str, Any]]:
     elif inspect.ismethod(function):
         held = {"self": function.__self__, function.__name__: function.__func__}
     elif inspect.isfunction(function):
-        cells = zip(
-            function.__code__.co_freevars, function.__closure__ or (), strict=True
-        )
+        names, closure = function.__code__.co_freevars, function.__closure__ or ()
+        cells = zip(names, closure, strict=True)
         held = {name: cell.cell_contents for name, cell in cells if _is_filled(cell)}
     else:
         return

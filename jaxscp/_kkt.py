@@ -87,6 +87,11 @@ def conditions(transcription: Transcription, optimum: Optimum, at: KKTPoint) -> 
     return jax.grad(potential)(at)
 
 
+def objective(transcription: Transcription, optimum: Optimum, step: Variables) -> Scalar:
+    """The cost, in its own unit."""
+    return _residuals(transcription, optimum, step).objective * optimum.scaling.objective
+
+
 def totals(
     transcription: Transcription, optimum: Optimum, step: Variables
 ) -> Float[Array, " q"]:

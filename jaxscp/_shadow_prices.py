@@ -132,23 +132,21 @@ def _rows(solution: Solution) -> Iterator[_Row]:
 def _of_states(solution: Solution) -> Iterator[_Row]:
     """Limits of the states, and of their ends where these are tighter."""
     problem, multipliers = solution.problem, solution.multipliers
-    at_nodes = _prices(multipliers.state)
-    between = _prices(multipliers.state_between)
-    whole = [
-        jnp.sum(p, axis=0) + jnp.sum(q, axis=0)
-        for p, q in zip(at_nodes, between, strict=True)
-    ]
+    below, above = _prices(multipliers.state)
     own = problem.state
     for kind, node, end in (
         ("first ", 0, problem.initial_state),
         ("last ", -1, problem.final_state),
     ):
-        below = end.is_fixed | (jnp.isfinite(end.lower) & (end.lower >= own.lower))
-        above = end.is_fixed | (jnp.isfinite(end.upper) & (end.upper <= own.upper))
-        low = jnp.where(below, at_nodes[0][node], 0.0)
-        high = jnp.where(above, at_nodes[1][node], 0.0)
-        whole = [whole[0] - low, whole[1] - high]
+        tighter = jnp.isfinite(end.lower) & (end.lower >= own.lower)
+        low = jnp.where(end.is_fixed | tighter, below[node], 0.0)
+        tighter = jnp.isfinite(end.upper) & (end.upper <= own.upper)
+        high = jnp.where(end.is_fixed | tighter, above[node], 0.0)
+        below, above = below.at[node].add(-low), above.at[node].add(-high)
         for index, name in enumerate(problem.state_names):
             yield _Row(name, kind, end, index, low[index], high[index])
+    between = _prices(multipliers.state_between)
+    pairs = zip((below, above), between, strict=True)
+    low, high = (jnp.sum(p, axis=0) + jnp.sum(q, axis=0) for p, q in pairs)
     for index, name in enumerate(problem.state_names):
-        yield _Row(name, "", own, index, whole[0][index], whole[1][index])
+        yield _Row(name, "", own, index, low[index], high[index])

@@ -40,7 +40,7 @@ FLOORS = (
     {"_proximal", "_paper"},
     {"_free_intervals"},
     {"_solve"},
-    {"_continuation"},
+    {"_audit", "_continuation"},
     {"_guess_plan"},
     {"_mission"},
     {"missions"},

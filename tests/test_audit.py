@@ -1,0 +1,61 @@
+"""Derivatives audited: right ones pass, and a wrong one does not."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import pytest
+
+import jaxscp
+from jaxscp import textbook
+
+
+class Dragged(eqx.Module):
+    """A double integrator with drag, whose derivative may be lost on the way."""
+
+    drag: jax.Array
+    lost: bool = eqx.field(static=True)
+
+    def __call__(self, t, x, u):
+        drag = jax.lax.stop_gradient(self.drag) if self.lost else self.drag
+        return jnp.stack([x[1], u[0] - drag * x[1]])
+
+
+def dragged(lost):
+    problem = textbook.minimum_time_double_integrator(1.3, 0.9)
+    return eqx.tree_at(lambda p: p.dynamics, problem, Dragged(jnp.asarray(0.1), lost))
+
+
+def test_every_parameter_of_a_problem():
+    """With an even number of intervals a control would be weakly active: no kink here."""
+    audit = jaxscp.audit_gradient(dragged(lost=False), nodes=8)
+    names = [row.name for row in audit.rows]
+    assert names == [
+        "dynamics.drag",
+        "control.lower",
+        "control.upper",
+        "initial_state.value",
+        "final_state.value",
+        "final_time.lower",
+        "final_time.upper",
+    ]
+    assert audit.passed, str(audit)
+    for row in audit.rows[:5]:
+        assert abs(row.implicit) > row.noise
+        assert row.envelope == pytest.approx(row.implicit, rel=1e-7)
+    assert str(audit).count("pass") == 7
+
+
+def test_a_lost_derivative_fails():
+    audit = jaxscp.audit_gradient(
+        dragged(lost=True), "final_time", ["dynamics"], nodes=8, steps=(1e-1, 1e-2)
+    )
+    (row,) = audit.rows
+    assert row.implicit == 0.0
+    assert not audit.passed
+    assert "FAIL" in str(audit)
+
+
+def test_an_unknown_name():
+    problem = textbook.minimum_energy_double_integrator()
+    with pytest.raises(ValueError, match=r"wrt=\['mass'\]: no parameter.*final_time.val"):
+        jaxscp.audit_gradient(problem, wrt=["mass"], nodes=8)
