@@ -108,13 +108,14 @@ def audit_gradient(
         problem = build(parameters)
         return solve(problem, guess, method, nodes=nodes, discretization=discretization)
 
-    start = solved(parameters)
     directions = list(_directions(parameters, wrt))
     if not directions:
         raise ValueError(
             f"wrt={wrt}: no parameter's name begins so; the names are "
             f"{', '.join(name for name, _ in _directions(parameters, None))}."
         )
+
+    start = solved(parameters)
 
     def at(parameters):
         return function(solved(parameters, start.trajectory))

@@ -37,9 +37,10 @@ class Scaled(eqx.Module):
 class Ceiling(eqx.Module):
     plant: Pendulum
     unit: jax.Array
+    speed: jax.Array
 
     def __call__(self, t, x, u):
-        return self.unit * jnp.stack([x[1] / self.plant.speed - 0.5])
+        return self.unit * jnp.stack([x[1] / self.plant.speed - self.speed])
 
 
 def swing(angle=1.0, speed=1.0, torque=1.0, time=1.0, cost=1.0, ceiling=1.0, data=1.0):
@@ -54,7 +55,9 @@ def swing(angle=1.0, speed=1.0, torque=1.0, time=1.0, cost=1.0, ceiling=1.0, dat
         final_state=Bounds.exactly(jnp.array([1.5 * angle, 0.0])),
         final_time=Bounds(2.0 * time, 8.0 * time),
         running_cost=Scaled(plant, jnp.asarray(cost / time)),
-        path_constraints={"ceiling": Ceiling(plant, jnp.asarray(ceiling))},
+        path_constraints={
+            "ceiling": Ceiling(plant, jnp.asarray(ceiling), jnp.asarray(0.5))
+        },
         integrals={
             "lift": Integral(
                 Scaled(plant, jnp.asarray(data / time), power=1, of_angle=True),

@@ -8,15 +8,14 @@ import pytest
 from swing import swing
 
 import jaxscp
-from jaxscp import Discretization
+from jaxscp import Discretization, FirstOrderHold, textbook
 
 # Converged far beyond what is compared.
 SHARP = jaxscp.ProximalSCP(tolerance=1e-11)
 
 
-def swung(problem, guess=None, between=0):
-    grid = Discretization(between=between)
-    return jaxscp.solve(problem, guess, SHARP, nodes=15, discretization=grid)
+def swung(problem, guess=None):
+    return jaxscp.solve(problem, guess, SHARP, nodes=15)
 
 
 def moved(problem, direction, step):
@@ -108,22 +107,6 @@ class TestOfEverything:
         scale = float(jnp.max(jnp.abs(differences)))
         np.testing.assert_allclose(forward, differences, rtol=1e-4, atol=1e-5 * scale)
 
-    def test_between_the_nodes(self, problem):
-        """Where a peak between two nodes touches its limit, at a moment that moves."""
-        found = swung(problem, between=1)
-        assert float(jnp.max(found.multipliers.path_between["ceiling"])) > 1e-3
-        direction, weights = drawn_direction(problem, 0), jnp.arange(15.0)
-
-        def of(problem):
-            return weights @ swung(problem, found.trajectory, 1).trajectory.states[:, 1]
-
-        gradient = eqx.filter_grad(of)(problem)
-        products = jax.tree.map(jnp.vdot, gradient, direction)
-        step = 1e-5
-        high, low = (of(moved(problem, direction, s)) for s in (step, -step))
-        reverse = float(sum(jax.tree.leaves(products)))
-        assert reverse == pytest.approx(float(high - low) / (2 * step), rel=1e-5)
-
     @pytest.mark.parametrize(
         "units",
         [{"cost": 1e6}, {"angle": 0.01, "time": 60.0, "cost": 1e3, "ceiling": 0.1}],
@@ -159,6 +142,7 @@ class TestShadowPrices:
             (of("u[0]", "lower limit"), slopes.control.lower[0]),
             (of("final time", "upper limit"), slopes.final_time.upper),
             (of("x[0]", "upper limit"), slopes.state.upper[0]),
+            (of("ceiling"), -slopes.path_constraints["ceiling"].speed),
         ]
         for node, end in (("first", "initial_state"), ("last", "final_state")):
             ends = getattr(slopes, end)
@@ -168,26 +152,32 @@ class TestShadowPrices:
         for price, slope in pairs:
             assert float(price) == pytest.approx(float(slope), rel=1e-7, abs=1e-9)
         assert float(of("lift")) > 1e-3
+        assert float(of("ceiling")) > 1e-3
         assert float(of("u[0]", "upper limit")) < -1e-3
 
-    def test_a_margin(self, problem, solution):
-        """That of a path constraint, by finite differences of a constant added to it."""
 
-        class Narrower(eqx.Module):
-            constraint: eqx.Module
-            margin: jax.Array
+class SpeedLimit(eqx.Module):
+    speed: jax.Array
 
-            def __call__(self, t, x, u):
-                return self.constraint(t, x, u) + self.margin
+    def __call__(self, t, x, u):
+        return x[1:] - self.speed
 
-        def cost(margin):
-            ceiling = Narrower(problem.path_constraints["ceiling"], margin)
-            narrower = eqx.tree_at(
-                lambda p: p.path_constraints["ceiling"], problem, ceiling
-            )
-            return swung(narrower, solution.trajectory).objective
 
-        price = float(jaxscp.shadow_prices(solution).of("ceiling"))
-        assert price > 1e-3
-        high, low = (float(cost(jnp.asarray(s))) for s in (1e-5, -1e-5))
-        assert price == pytest.approx((high - low) / 2e-5, rel=1e-5)
+def test_a_peak_between_the_nodes():
+    """It moves with the limit, and with it the derivatives of the peak."""
+    between = Discretization(hold=FirstOrderHold(), between=1)
+
+    def flown(limit):
+        problem = textbook.minimum_energy_double_integrator(1.3, 0.9)
+        speed = {"speed": SpeedLimit(limit)}
+        problem = eqx.tree_at(lambda p: p.path_constraints, problem, speed)
+        solution = jaxscp.solve(problem, None, SHARP, nodes=8, discretization=between)
+        return solution.objective, solution.trajectory.controls, solution.multipliers
+
+    limit = jnp.asarray(2.1)
+    (_, _, multipliers), found = jax.jvp(flown, (limit,), (jnp.ones(()),))
+    assert float(jnp.max(multipliers.path_between["speed"])) > 1e-3
+    step = 1e-4
+    pairs = zip(flown(limit + step)[:2], flown(limit - step)[:2], strict=True)
+    for slope, (high, low) in zip(found, pairs, strict=False):
+        np.testing.assert_allclose(slope, (high - low) / (2 * step), rtol=1e-5, atol=1e-5)
