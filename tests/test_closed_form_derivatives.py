@@ -158,7 +158,7 @@ class TestRefusals:
 
     @staticmethod
     def hurried(limit, method):
-        """The flight time of a problem without a solution: it asks for too short a one."""
+        """The flight time of a problem without a solution: there is too little time."""
         problem = textbook.minimum_time_double_integrator(1.0, limit)
         late = 0.6 * problem.final_time.upper / 5
         problem = eqx.tree_at(lambda p: p.final_time.upper, problem, late)
