@@ -1,5 +1,10 @@
 """Strict numerics for every test."""
 
+import os
+
+# What runs a few times takes longer to optimize than to run. Read when JAX starts.
+os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+
 import hypothesis
 import jax
 
