@@ -1,12 +1,14 @@
 """Strict numerics for every test."""
 
 import os
+from pathlib import Path
 
 # What runs a few times takes longer to optimize than to run. Read when JAX starts.
 os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
 
 import hypothesis
 import jax
+import pytest
 
 jax.config.update("jax_enable_x64", True)
 # A silently broadcast axis is nearly always a mistake in this code base.
@@ -21,3 +23,14 @@ hypothesis.settings.register_profile(
     max_examples=25,
 )
 hypothesis.settings.load_profile("jaxscp")
+
+
+@pytest.fixture(autouse=True, scope="module")
+def room_for_programs():
+    """Compiled programs are let go before a process has more of them mapped into its
+    memory than Linux allows, 65,530, at which XLA aborts.
+    """
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and len(maps.read_bytes().splitlines()) > 25_000:
+        jax.clear_caches()
