@@ -40,7 +40,7 @@ class Optimum(eqx.Module):
 
     - `variables`: in physical units. `point`: with no step.
     - `sides`: where each constraint rests: 1 on its upper limit, -1 on its lower one.
-    - `objective`, `integrals`: in their own units.
+    - `objective`: in its own unit.
     - `polished`: whether the conditions hold well enough for derivatives.
     """
 
@@ -50,7 +50,6 @@ class Optimum(eqx.Module):
     substeps: Array
     sides: PerLimit
     objective: Scalar
-    integrals: Float[Array, " q"]
     polished: Array
 
     @property

@@ -29,17 +29,17 @@ _NEGLIGIBLE = 1e-10
 def outcome(transcription: Transcription, state: SCPState, status: Status) -> Solution:
     """What the state holds, with the status it ended in."""
     scaling, iterate = state.scaling, state.iterate
+    reached = _optimum(transcription, state, status)
     totals = iterate.residuals.totals * scaling.integral
-    objective = iterate.residuals.objective * scaling.objective
     limits = integral_limits(transcription, scaling)
     missed = worst_violation(iterate.residuals, limits)
     return Solution(
         packed_problem=Packed.of(transcription.problem),
         discretization=transcription.discretization,
         trajectory=transcription.trajectory(iterate.variables),
-        objective=objective,
+        objective=reached.objective,
         integrals=_by_integral(transcription, totals),
-        multipliers=_multipliers(transcription, scaling, _point(state)),
+        multipliers=_multipliers(transcription, scaling, reached.point),
         violations=_violations(transcription, state),
         status=status,
         optimality=state.optimality,
@@ -54,9 +54,9 @@ def outcome(transcription: Transcription, state: SCPState, status: Status) -> So
             qp_seconds=state.qp_seconds,
             seconds=jnp.asarray(jnp.nan),
         ),
-        attempts=(Attempt(objective, missed, status, None, jnp.asarray(True)),),
+        attempts=(Attempt(reached.objective, missed, status, None, jnp.asarray(True)),),
         packed_transcription=Packed.of(transcription),
-        optimum=_optimum(transcription, state, status),
+        optimum=reached,
     )
 
 
@@ -89,8 +89,10 @@ def _optimum(transcription: Transcription, state: SCPState, status: Status) -> O
     """What derivatives of the outcome need."""
     scaling, iterate, solution = state.scaling, state.iterate, state.solution
     limits = step_limits(transcription, scaling, iterate.variables)
-    point = _point(state)
-    sides = active_sides(iterate.residuals, limits, solution, point.step, _NEGLIGIBLE)
+    still = jax.tree.map(jnp.zeros_like, solution.step)
+    of_limits = Variables(solution.state, solution.control, solution.final_time)
+    point = KKTPoint(still, solution.multipliers, of_limits)
+    sides = active_sides(iterate.residuals, limits, solution, still, _NEGLIGIBLE)
     return Optimum(
         variables=iterate.variables,
         point=point,
@@ -98,7 +100,6 @@ def _optimum(transcription: Transcription, state: SCPState, status: Status) -> O
         substeps=iterate.substeps,
         sides=sides,
         objective=iterate.residuals.objective * scaling.objective,
-        integrals=iterate.residuals.totals * scaling.integral,
         polished=jnp.asarray(status == Status.converged),
     )
 
@@ -120,13 +121,6 @@ def differentiable(transcription: Transcription, solution: Solution) -> Solution
         integrals=_by_integral(transcription, totals),
         multipliers=_multipliers(transcription, found.scaling, point),
     )
-
-
-def _point(state: SCPState) -> KKTPoint:
-    solution = state.solution
-    still = jax.tree.map(jnp.zeros_like, solution.step)
-    limits = Variables(solution.state, solution.control, solution.final_time)
-    return KKTPoint(still, solution.multipliers, limits)
 
 
 def _multipliers(

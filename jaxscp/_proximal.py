@@ -265,7 +265,7 @@ class ProximalSCP(AbstractSCP):
         ahead = prospects(
             transcription,
             state,
-            dataclasses.replace(found, best=trial),
+            found,
             judgement,
             may_polish=self._may_polish(state),
             close=self.close,

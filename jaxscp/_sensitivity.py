@@ -50,13 +50,7 @@ def optimal_point(transcription: Transcription, optimum: Optimum) -> KKTPoint:
 @optimal_point.def_jvp
 def _optimal_point_jvp(primals, tangents):
     transcription, optimum = primals
-    point = optimal_point(transcription, optimum)
-    left = _along(
-        lambda transcription: conditions(transcription, optimum, point),
-        transcription,
-        tangents[0],
-    )
-
+    point, left = _along(conditions, primals, tangents)
     # One vector: JAX transposes no system of which a part is known.
     flat, unravel = ravel_pytree(left)
     numbers = constant((transcription, optimum))
@@ -87,45 +81,34 @@ def optimal_objective(transcription: Transcription, optimum: Optimum) -> Scalar:
 
 @optimal_objective.def_jvp
 def _optimal_objective_jvp(primals, tangents):
-    transcription, optimum = primals
-    point = optimal_point(transcription, optimum)
-    change = _along(
-        lambda transcription: lagrangian(transcription, optimum, point),
-        transcription,
-        tangents[0],
-    )
-    value = optimal_objective(transcription, optimum)
-    return value, _or_nan(optimum, optimum.scaling.objective * change)
+    _, optimum = primals
+    _, change = _along(lagrangian, primals, tangents)
+    change = optimum.scaling.objective * change
+    return optimal_objective(*primals), _or_nan(optimum, change)
 
 
-@eqx.filter_jit
 def optimal_totals(
     transcription: Transcription, optimum: Optimum, point: KKTPoint
 ) -> Float[Array, " q"]:
     """The integrals over the whole flight, at `optimal_point`."""
-
-    @jax.checkpoint
-    def of_arrays(arrays, step):
-        return totals(eqx.combine(arrays, others), optimum, step)
-
-    arrays, others = eqx.partition(transcription, eqx.is_array)
-    return of_arrays(arrays, point.step)
+    return eqx.filter_checkpoint(totals)(transcription, optimum, point.step)
 
 
-def _along(function, transcription: Transcription, tangent):
-    """Derivative of a function of the problem along a direction.
+def _along(function, primals, tangents):
+    """The solution, and how a function of the problem there changes along a direction.
 
     `None` in the direction stands for what does not change.
     """
-    arrays, others = eqx.partition(
-        transcription, jax.tree.map(lambda t: t is not None, tangent, is_leaf=_is_none)
-    )
+    (transcription, optimum), (tangent, _) = primals, tangents
+    point = optimal_point(transcription, optimum)
+    moves = jax.tree.map(lambda t: t is not None, tangent, is_leaf=_is_none)
+    arrays, others = eqx.partition(transcription, moves)
 
     @jax.checkpoint
     def of_arrays(arrays):
-        return function(eqx.combine(arrays, others))
+        return function(eqx.combine(arrays, others), optimum, point)
 
-    return jax.jvp(of_arrays, (arrays,), (tangent,))[1]
+    return point, jax.jvp(of_arrays, (arrays,), (tangent,))[1]
 
 
 def _is_none(leaf) -> bool:

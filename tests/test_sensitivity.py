@@ -20,12 +20,7 @@ def swung(problem, guess=None):
 
 def moved(problem, direction, step):
     """The problem a step along a direction; `None` there is what stays."""
-    return jax.tree.map(
-        lambda leaf, way: leaf if way is None else leaf + step * way,
-        problem,
-        direction,
-        is_leaf=lambda leaf: leaf is None,
-    )
+    return eqx.apply_updates(problem, jax.tree.map(lambda way: step * way, direction))
 
 
 def drawn_direction(problem, seed):
