@@ -19,6 +19,10 @@ from ._problem import (
 from ._proximal import ProximalSCP as ProximalSCP
 from ._qp import PIQP as PIQP
 from ._scp import AbstractSCP as AbstractSCP
+from ._sensitivity_report import (
+    SensitivityReport as SensitivityReport,
+    sensitivity_report as sensitivity_report,
+)
 from ._shadow_prices import (
     ShadowPrice as ShadowPrice,
     ShadowPrices as ShadowPrices,

@@ -151,7 +151,7 @@ def active_sides(
     """Where each constraint rests after a step, as its multipliers tell."""
     multipliers = PerLimit.multipliers(solution)
     side = functools.partial(_side, precision=precision)
-    return jax.tree.map(side, multipliers, *_rooms(after, limits, step))
+    return jax.tree.map(side, multipliers, *rooms(after, limits, step))
 
 
 def _side(
@@ -160,14 +160,12 @@ def _side(
     """The limit a constraint rests on: 1 the upper, -1 the lower, 0 neither."""
     upper = multiplier - above > precision
     lower = -multiplier - below > precision
-    # Between limits that coincide it rests on both.
-    fixed = below + above <= 0.0
+    # Between limits that coincide, but for rounding, it rests on both.
+    fixed = below + above <= precision
     return jnp.where(upper | fixed, 1.0, jnp.where(lower, -1.0, 0.0))
 
 
-def _rooms(
-    after: Residuals, limits: Limits, step: Variables
-) -> tuple[PerLimit, PerLimit]:
+def rooms(after: Residuals, limits: Limits, step: Variables) -> tuple[PerLimit, PerLimit]:
     """The way to every lower and to every upper limit."""
     low, high = limits.ends
     lowest, highest = limits.integral

@@ -1,6 +1,6 @@
 """`audit_gradient`: derivatives of a solve beside finite differences of whole solves."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import equinox as eqx
@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._bounds import Bounds
+from ._direction import own_directions
 from ._discretization import Discretization
 from ._kkt import objective
 from ._problem import OptimalControlProblem
@@ -18,7 +18,7 @@ from ._sensitivity import optimal_point
 from ._solution import Solution
 from ._solve import solve
 from ._trajectory import Trajectory
-from ._types import Array, PyTree
+from ._types import PyTree
 
 # What polishing leaves of a solution's numbers, relative to them.
 _NOISE = 1e-8
@@ -100,19 +100,25 @@ def audit_gradient(
     - `steps`: of the differences, in shares of each parameter's size.
     - `tolerance`: relative difference, beyond the noise, that passes.
 
-    **Raises:** `ValueError` for a name that no parameter has, and where [`solve`][] does.
+    **Raises:** `ValueError` for an unknown `of`, a name that no parameter has, and where
+    [`solve`][] does.
     """
+    if isinstance(of, str) and of not in OF:
+        raise ValueError(
+            f"of={of!r}: choose {' or '.join(map(repr, OF))}, or give a function of a "
+            "solution."
+        )
     function = OF[of] if isinstance(of, str) else of
 
     def solved(parameters, guess=guess) -> Solution:
         problem = build(parameters)
         return solve(problem, guess, method, nodes=nodes, discretization=discretization)
 
-    directions = list(_directions(parameters, wrt))
+    directions = list(own_directions(parameters, wrt))
     if not directions:
         raise ValueError(
             f"wrt={wrt}: no parameter's name begins so; the names are "
-            f"{', '.join(name for name, _ in _directions(parameters, None))}."
+            f"{', '.join(name for name, _ in own_directions(parameters, None))}."
         )
 
     start = solved(parameters)
@@ -163,52 +169,6 @@ def _agree(
     apart = np.nanmax(np.abs(np.array(found) - difference))
     size = max(abs(found[0]), abs(difference))
     return bool(apart <= tolerance * size + noise)
-
-
-def _directions(
-    parameters: PyTree, wrt: Sequence[str] | None
-) -> Iterator[tuple[str, PyTree]]:
-    """Each parameter's name, and the tree in which it alone moves, by its own size."""
-    numbers = eqx.filter(parameters, eqx.is_inexact_array)
-    groups, structure = jax.tree_util.tree_flatten_with_path(numbers, is_leaf=_is_bounds)
-    still = [jax.tree.map(jnp.zeros_like, group) for _, group in groups]
-    for place, (path, group) in enumerate(groups):
-        name = jax.tree_util.keystr(path, simple=True, separator=".")
-        for limit, way in _ways(group):
-            if wrt is None or any((name + limit).startswith(begin) for begin in wrt):
-                trees = [*still[:place], way, *still[place + 1 :]]
-                yield name + limit, jax.tree.unflatten(structure, trees)
-
-
-def _ways(group: Any) -> Iterator[tuple[str, Any]]:
-    """What of a parameter moves by itself: of bounds each limit, where equal both."""
-    if not isinstance(group, Bounds):
-        if group.size:
-            yield "", _way(group, np.ones(group.shape, bool))
-        return
-    still, fixed = jax.tree.map(jnp.zeros_like, group), group.is_fixed
-    none = jnp.zeros(group.shape)
-    below, above = np.isfinite(group.lower), np.isfinite(group.upper)
-    target = _way(group.target, fixed)
-    for limit, moves, ends in (
-        (".value", fixed, (target, target)),
-        (".lower", below & ~fixed, (_way(group.lower, below & ~fixed), none)),
-        (".upper", above & ~fixed, (none, _way(group.upper, above & ~fixed))),
-    ):
-        if moves.any():
-            yield limit, eqx.tree_at(lambda b: (b.lower, b.upper), still, ends)
-
-
-def _way(values: Array, moves: Any) -> Array:
-    """A direction with signs of chance, as large as the largest number that moves."""
-    sizes = np.abs(np.where(moves, values, 0.0))
-    size = float(np.max(sizes, initial=0.0)) or 1.0
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], values.shape)
-    return jnp.asarray(np.where(moves, size * signs, 0.0))
-
-
-def _is_bounds(node: Any) -> bool:
-    return isinstance(node, Bounds)
 
 
 def _times(factor: float, tree: PyTree) -> PyTree:

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._active_set import resting
+from ._active_set import resting, rooms
 from ._active_system import PerLimit
 from ._per_constraint import PerConstraint
 from ._scaling import Scaling
@@ -33,6 +33,12 @@ class KKTPoint(eqx.Module):
     step: Variables
     multipliers: PerConstraint
     limits: Variables
+
+
+def of_inequalities(point: KKTPoint) -> PerLimit:
+    """A point's multipliers without the costates."""
+    own = point.multipliers
+    return PerLimit(point.limits, own.path, own.between, own.integral)
 
 
 class Optimum(eqx.Module):
@@ -96,6 +102,15 @@ def totals(
 ) -> Float[Array, " q"]:
     """The integrals, in their own units."""
     return _residuals(transcription, optimum, step).totals * optimum.scaling.integral
+
+
+def slacks(
+    transcription: Transcription, optimum: Optimum, step: Variables
+) -> tuple[PerLimit, PerLimit]:
+    """The way to every lower and to every upper limit, infinite where there is none."""
+    residuals = _residuals(transcription, optimum, step)
+    limits = step_limits(transcription, optimum.scaling, optimum.variables)
+    return rooms(residuals, limits, step)
 
 
 def _weighed(optimum: Optimum, at: KKTPoint) -> KKTPoint:

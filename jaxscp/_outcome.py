@@ -109,8 +109,12 @@ def differentiable(transcription: Transcription, solution: Solution) -> Solution
     """The solution as a function of the problem: objective, integrals, trajectory and
     multipliers move with it. All else is what it was.
     """
+    return moved(transcription, solution, optimal_point(transcription, solution.optimum))
+
+
+def moved(transcription: Transcription, solution: Solution, point: KKTPoint) -> Solution:
+    """The solution where the optimality conditions have led to this point."""
     found = solution.optimum
-    point = optimal_point(transcription, found)
     variables = found.scaling.move(found.variables, point.step)
     totals = optimal_totals(transcription, found, point)
     return dataclasses.replace(

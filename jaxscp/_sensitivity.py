@@ -19,6 +19,7 @@ Fiacco, "Introduction to Sensitivity and Stability Analysis in Nonlinear Program
 """
 
 import dataclasses
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -64,7 +65,9 @@ def _optimal_point_jvp(primals, tangents):
     # Traced once for both directions.
     @jax.jit
     def solved(right: Float[Array, " w"]) -> Float[Array, " w"]:
-        return ravel_pytree(_solved(numbers[0], numbers[1], unravel(right)))[0]
+        answer = kkt_solve(numbers[0], numbers[1], unravel(right))
+        worthless = answer.left > _WORTHLESS
+        return jnp.where(worthless, jnp.nan, ravel_pytree(answer.point)[0])
 
     moved = jax.lax.custom_linear_solve(
         matrix, -flat, lambda _, right: solved(right), symmetric=True
@@ -122,7 +125,21 @@ def _or_nan(optimum: Optimum, tangent):
     return jax.tree.map(lambda leaf: factor * leaf, tangent)
 
 
-def _solved(transcription: Transcription, optimum: Optimum, right: KKTPoint) -> KKTPoint:
+class Answer(NamedTuple):
+    """What solves K w = right.
+
+    - `left`: what is left of the equations, relative to the right-hand side.
+    - `convexity`: least curvature of the Lagrangian along dynamics and active limits. If
+        it is positive, K has the inertia of a strict minimum; as active limits are held
+        by squares of great but finite weight, a negative one leaves that open.
+    """
+
+    point: KKTPoint
+    left: Scalar
+    convexity: Scalar
+
+
+def kkt_solve(transcription: Transcription, optimum: Optimum, right: KKTPoint) -> Answer:
     """The answer of K w = right, by the factorization that polishes."""
     size = max_norm(right)
     unit = jnp.where(size > 0.0, size, 1.0)
@@ -135,13 +152,12 @@ def _solved(transcription: Transcription, optimum: Optimum, right: KKTPoint) -> 
     answer = KKTPoint(solution.step, solution.multipliers, of_limits)
     # Multipliers of what is not active answer for themselves.
     answer = jax.tree.map(
-        lambda active, yes, no: jnp.where(active > 0.0, yes, no),
+        lambda active, yes, no: unit * jnp.where(active > 0.0, yes, no),
         optimum.active,
         answer,
         right,
     )
-    worthless = jnp.maximum(found.gap, found.left) > _WORTHLESS
-    return jax.tree.map(lambda leaf: unit * jnp.where(worthless, jnp.nan, leaf), answer)
+    return Answer(answer, jnp.maximum(found.gap, found.left), found.convexity)
 
 
 def _system(

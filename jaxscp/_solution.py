@@ -1,5 +1,7 @@
 """`Solution`: what a solve returns."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -149,6 +151,18 @@ class Solution(eqx.Module):
                     f"from 0 to {end:g} s."
                 )
         return _sampled(self, jnp.clip(fractions, 0.0, 1.0))
+
+
+def check_polished(solution: Solution) -> None:
+    """**Raises:** `ValueError` if a solution is not good enough for derivatives."""
+    if bool(solution.polished):
+        return
+    residual = float(solution.optimality)
+    met = f"have a residual of {residual:.1e}" if residual < math.inf else "are not known"
+    raise ValueError(
+        "derivatives need a solution of ProximalSCP, polished to its tolerance; the "
+        f"optimality conditions of this one {met}. {solution.message}"
+    )
 
 
 @eqx.filter_jit

@@ -17,7 +17,7 @@ from ._outcome import differentiable, outcome
 from ._problem import OptimalControlProblem
 from ._proximal import ProximalSCP
 from ._scp import AbstractSCP, run
-from ._solution import Solution
+from ._solution import Solution, check_polished
 from ._trajectory import Trajectory, straight_line
 from ._transcription import Transcription
 from ._tree import constant, is_differentiated
@@ -104,23 +104,11 @@ def solve(
         if throw and not bool(solution.converged):
             raise SolveError(constant(solution))
         if is_differentiated(problem):
-            _check_differentiable(constant(solution))
+            check_polished(constant(solution))
         return solution
     if throw:
         return solution.status.error_if(solution, ~solution.converged)
     return solution
-
-
-def _check_differentiable(solution: Solution) -> None:
-    """**Raises:** `ValueError` if a solution is not good enough for derivatives."""
-    if bool(solution.polished):
-        return
-    residual = float(solution.optimality)
-    met = f"have a residual of {residual:.1e}" if residual < np.inf else "are not known"
-    raise ValueError(
-        "derivatives need a solution of ProximalSCP, polished to its tolerance; the "
-        f"optimality conditions of this one {met}. {solution.message}"
-    )
 
 
 def _as_parameter(leaf: Any) -> Any:

@@ -1,0 +1,105 @@
+"""A limit begins to hold: if it depends on those that do, another one lets go.
+
+At a point where active limits depend on each other multipliers are not unique, and those
+that hold to one side are not those of the other. A limit that enters takes over the
+multiplier of one that leaves: the step of the dual active set method. Goldfarb, Idnani,
+Mathematical Programming 27 (1983).
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ._active_system import PerLimit
+from ._kkt import KKTPoint, Optimum, of_inequalities, slacks
+from ._max_norm import max_norm
+from ._regularity import fixed_limits
+from ._sensitivity import kkt_solve
+from ._transcription import Transcription, Variables
+from ._types import Array, Scalar
+
+# A limit that pulls the variables by less than this, for its own size, depends on others.
+_DEPENDENT = 1e-7
+
+
+@eqx.filter_jit
+def exchanged(
+    transcription: Transcription, optimum: Optimum, entering: PerLimit
+) -> Optimum:
+    """The same optimum with a further limit active, and multipliers that allow it.
+
+    **Arguments:**
+
+    - `entering`: 1 for an upper limit, -1 for a lower one, 0 elsewhere.
+    """
+
+    def excess(step: Variables) -> Scalar:
+        below, above = slacks(transcription, optimum, step)
+        ways = jax.tree.map(
+            lambda enters, low, high: jnp.sum(
+                jnp.where(enters > 0.0, high, jnp.where(enters < 0.0, low, 0.0))
+            ),
+            *(entering, below, above),
+        )
+        return -sum(jax.tree.leaves(ways), jnp.zeros(()))
+
+    slope = jax.grad(excess)(optimum.point.step)
+    still = jax.tree.map(jnp.zeros_like, optimum.point)
+    push = KKTPoint(jax.tree.map(jnp.negative, slope), still.multipliers, still.limits)
+    pushed = kkt_solve(transcription, optimum, push).point
+    depends = max_norm(pushed.step) <= _DEPENDENT * max_norm(slope)
+    gives = jax.tree.map(
+        _share,
+        fixed_limits(transcription),
+        optimum.sides,
+        of_inequalities(optimum.point),
+        of_inequalities(pushed),
+    )
+    first = jnp.min(
+        jnp.stack([jnp.min(s, initial=jnp.inf) for s in jax.tree.leaves(gives)])
+    )
+    leaves = jax.tree.map(lambda share: depends & (share <= first), gives)
+    sides = jax.tree.map(
+        lambda side, enters, gone: jnp.where(gone, 0.0, side) + enters,
+        *(optimum.sides, entering, leaves),
+    )
+    # Nothing lets go: there is no solution to that side.
+    taken = jnp.where(depends, jnp.where(first < jnp.inf, first, jnp.nan), 0.0)
+    point = jax.tree.map(lambda own, change: own + taken * change, optimum.point, pushed)
+    return eqx.tree_at(
+        lambda o: (o.sides, o.point),
+        optimum,
+        (sides, _with(point, entering, taken, optimum.point.step)),
+    )
+
+
+def _share(fixed: Array, side: Array, multiplier: Array, change: Array) -> Array:
+    """How much of the pushing each active limit bears before it lets go."""
+    own, gained = side * multiplier, side * change
+    shrinks = (fixed == 0.0) & (side != 0.0) & (gained < 0.0)
+    return jnp.where(shrinks, own / jnp.where(shrinks, -gained, 1.0), jnp.inf)
+
+
+def _with(
+    point: KKTPoint, entering: PerLimit, taken: Scalar, step: Variables
+) -> KKTPoint:
+    """With the multiplier of the limit that enters; the variables do not move."""
+    more = jax.tree.map(lambda enters: taken * enters, entering)
+    own = point.multipliers
+    return eqx.tree_at(
+        lambda p: (
+            p.step,
+            p.limits,
+            p.multipliers.path,
+            p.multipliers.between,
+            p.multipliers.integral,
+        ),
+        point,
+        (
+            step,
+            jax.tree.map(jnp.add, point.limits, more.variables),
+            own.path + more.path,
+            own.between + more.between,
+            own.integral + more.integral,
+        ),
+    )
