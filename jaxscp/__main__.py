@@ -1,4 +1,4 @@
-"""`jaxscp` and `python -m jaxscp`: list, solve and verify missions."""
+"""`jaxscp` and `python -m jaxscp`: list, solve, verify and audit missions."""
 
 import sys
 from collections.abc import Sequence
@@ -11,8 +11,9 @@ BAD_INPUT = 2
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status.
 
-    0 if it did what was asked (a solve: converged and verified), 1 if a solve or a
-    verification did not succeed, 2 on bad input, with one line on standard error.
+    0 if it did what was asked (a solve: converged and verified), 1 if a solve, a
+    verification or an audit did not succeed, 2 on bad input, with one line on standard
+    error.
     """
     try:
         arguments = parser().parse_args(argv)

@@ -1,5 +1,6 @@
 """`audit_gradient`: derivatives of a solve beside finite differences of whole solves."""
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -16,7 +17,7 @@ from ._proximal import ProximalSCP
 from ._scp import AbstractSCP
 from ._sensitivity import optimal_point
 from ._solution import Solution
-from ._solve import solve
+from ._solve import SolveError, solve
 from ._trajectory import Trajectory
 from ._types import PyTree
 
@@ -29,13 +30,26 @@ OF: dict[str, Callable[[Solution], Any]] = {
 }
 
 
+HEADING = f"{'parameter':40}" + "".join(
+    f"{head:>{width}}"
+    for head, width in (
+        ("implicit", 16),
+        ("envelope", 16),
+        ("difference", 16),
+        ("step", 9),
+        ("noise", 9),
+    )
+)
+
+
 class Audited(eqx.Module):
     """One parameter, all its entries moved together along a direction.
 
     - `name`: where it is in the tree. `implicit`: derivative by the implicit function
         theorem. `envelope`: by the envelope theorem, NaN for all but the objective.
     - `difference`: central difference of whole solves, with the step of the sweep that
-        changes it least. `step`: that step, in shares of the parameter's size.
+        changes it least; NaN where these did not converge. `step`: that step, in shares
+        of the parameter's size.
     - `noise`: what polishing to a tolerance leaves uncertain in it.
     - `passed`: whether they agree.
     """
@@ -68,10 +82,7 @@ class Audit(eqx.Module):
         return all(row.passed for row in self.rows)
 
     def __str__(self) -> str:
-        heads = ("implicit", "envelope", "difference")
-        heading = f"{'parameter':40}" + "".join(f"{head:>16}" for head in heads)
-        heading += f"{'step':>9}{'noise':>9}"
-        return "\n".join([heading, *map(str, self.rows)])
+        return "\n".join([HEADING, *map(str, self.rows)])
 
 
 def audit_gradient(
@@ -86,6 +97,7 @@ def audit_gradient(
     nodes: int = 50,
     steps: Sequence[float] = (1e-3, 1e-4, 1e-5),
     tolerance: float = 1e-3,
+    progress: Callable[[Audited], None] | None = None,
 ) -> Audit:
     """Check derivatives of a solve, parameter by parameter.
 
@@ -99,6 +111,7 @@ def audit_gradient(
         first start from its solution.
     - `steps`: of the differences, in shares of each parameter's size.
     - `tolerance`: relative difference, beyond the noise, that passes.
+    - `progress`: called with each row once it is there.
 
     **Raises:** `ValueError` for an unknown `of`, a name that no parameter has, and where
     [`solve`][] does.
@@ -114,13 +127,7 @@ def audit_gradient(
         problem = build(parameters)
         return solve(problem, guess, method, nodes=nodes, discretization=discretization)
 
-    directions = list(own_directions(parameters, wrt))
-    if not directions:
-        raise ValueError(
-            f"wrt={wrt}: no parameter's name begins so; the names are "
-            f"{', '.join(name for name, _ in own_directions(parameters, None))}."
-        )
-
+    directions = own_directions(parameters, wrt)
     start = solved(parameters)
 
     def at(parameters):
@@ -140,20 +147,26 @@ def audit_gradient(
         envelope, implicit = implicit, eqx.filter_grad(without_envelope)(parameters)
     noise = _NOISE * abs(float(function(start)))
     rows = []
-    for name, way in directions:
+    for name, way in directions.items():
 
         def moved(step: float, way=way) -> float:
-            return float(at(eqx.apply_updates(parameters, _times(step, way))))
+            try:
+                return float(at(eqx.apply_updates(parameters, _times(step, way))))
+            except SolveError:
+                return math.nan
 
         sweep = [(moved(step) - moved(-step)) / (2.0 * step) for step in steps]
         best = _steadiest(sweep)
         found = (
             _along(implicit, way),
-            np.nan if envelope is None else _along(envelope, way),
+            math.nan if envelope is None else _along(envelope, way),
         )
         uncertain = noise / steps[best]
         passed = _agree(found, sweep[best], tolerance, uncertain)
-        rows.append(Audited(name, *found, sweep[best], steps[best], uncertain, passed))
+        row = Audited(name, *found, sweep[best], steps[best], uncertain, passed)
+        if progress is not None:
+            progress(row)
+        rows.append(row)
     return Audit(tuple(rows))
 
 
@@ -180,4 +193,5 @@ def _steadiest(sweep: list[float]) -> int:
     if len(sweep) == 1:
         return 0
     changes = np.abs(np.diff(sweep))
-    return int(np.argmin(changes)) + 1
+    # Not a number where a solve failed.
+    return int(np.argmin(np.where(np.isnan(changes), np.inf, changes))) + 1

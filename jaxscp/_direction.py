@@ -38,23 +38,36 @@ def direction(parameters: PyTree, changes: Mapping[str, ArrayLike]) -> PyTree:
 
 
 def own_directions(
-    parameters: PyTree, wrt: Sequence[str] | None
-) -> Iterator[tuple[str, PyTree]]:
-    """Each parameter's name, and the tree in which it alone moves, by its own size.
+    parameters: PyTree, wrt: Sequence[str] | None = None
+) -> dict[str, PyTree]:
+    """For each parameter, by name, the tree in which it alone moves, by its own size.
 
     **Arguments:**
 
     - `wrt`: beginnings of names; all by default.
+
+    **Raises:** `ValueError` if no name begins so, listing them.
     """
+    every = dict(_own_directions(parameters))
+    if wrt is None:
+        return every
+    chosen = {name: way for name, way in every.items() if name.startswith(tuple(wrt))}
+    if not chosen:
+        raise ValueError(
+            f"wrt={list(wrt)}: no parameter's name begins so; the names are "
+            f"{', '.join(every)}."
+        )
+    return chosen
+
+
+def _own_directions(parameters: PyTree) -> Iterator[tuple[str, PyTree]]:
     numbers = eqx.filter(parameters, eqx.is_inexact_array)
     groups, structure = jax.tree_util.tree_flatten_with_path(numbers, is_leaf=_is_bounds)
     still = [jax.tree.map(jnp.zeros_like, group) for _, group in groups]
     for place, (path, group) in enumerate(groups):
         for limit, way in _ways(group):
-            name = _name(path) + limit
-            if wrt is None or any(name.startswith(begin) for begin in wrt):
-                trees = [*still[:place], way, *still[place + 1 :]]
-                yield name, jax.tree.unflatten(structure, trees)
+            trees = [*still[:place], way, *still[place + 1 :]]
+            yield _name(path) + limit, jax.tree.unflatten(structure, trees)
 
 
 def _name(path: tuple[Any, ...]) -> str:

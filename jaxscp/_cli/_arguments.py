@@ -7,6 +7,8 @@ from typing import Any, NoReturn
 METHODS = ("proximal", "paper")
 PLACES = ("nodes", "between")
 GRIDS = ("uniform", "free")
+WHERE_LIMITS_HOLD = "where limits hold: also between the nodes, or there alone"
+AUDITED = ("objective", "final_time")
 
 
 class InputError(Exception):
@@ -21,20 +23,22 @@ class Parser(argparse.ArgumentParser):
 
 
 def parser() -> argparse.ArgumentParser:
-    """The parser of `jaxscp`, with one subcommand each to list, solve and verify."""
+    """The parser of `jaxscp`, with one subcommand for each thing it does."""
     top = Parser(
         prog="jaxscp",
         description="Trajectory optimization by sequential convex programming.",
-        epilog="Exit status: 0 if converged and verified, 1 if not, 2 on bad input.",
+        epilog="Exit status: 0 if converged and verified, or if every derivative passed; "
+        "1 if not; 2 on bad input.",
     )
     commands = top.add_subparsers(
-        dest="command", required=True, metavar="{missions,solve,verify}"
+        dest="command", required=True, metavar="{missions,solve,verify,audit}"
     )
     commands.add_parser("missions", help="list the missions, a line each")
     _add_solve(commands)
     check = commands.add_parser("verify", help="check a saved solution independently")
     check.add_argument("file", metavar="FILE.npz", help="written by solve --save")
     _add_enforce(check, "nodes", "where limits must hold")
+    _add_audit(commands)
     return top
 
 
@@ -44,25 +48,7 @@ def _add_solve(commands: Any) -> None:
         help="solve and verify a mission",
         description="Solve a mission, verify the solution and print a short table.",
     )
-    solve.add_argument(
-        "mission", metavar="MISSION", help="a name `jaxscp missions` lists"
-    )
-    solve.add_argument(
-        "--set",
-        metavar="PATH=JSON",
-        action="append",
-        default=[],
-        type=assignment,
-        dest="changes",
-        help="change a value of the mission, as in --set vehicle.mass=2.5; repeatable",
-    )
-    solve.add_argument(
-        "--nodes",
-        type=node_count,
-        default=100,
-        metavar="N",
-        help="nodes of the time grid (default: %(default)s)",
-    )
+    _add_mission(solve)
     solve.add_argument(
         "--grid",
         choices=GRIDS,
@@ -76,9 +62,7 @@ def _add_solve(commands: Any) -> None:
         default=METHODS[0],
         help="how the convex subproblems follow each other (default: %(default)s)",
     )
-    _add_enforce(
-        solve, "between", "where limits hold: also between the nodes, or there alone"
-    )
+    _add_enforce(solve, "between", WHERE_LIMITS_HOLD)
     solve.add_argument("--json", metavar="FILE", help="write the result as JSON")
     solve.add_argument(
         "--save", metavar="FILE.npz", help="write time, state and control in SI units"
@@ -88,6 +72,53 @@ def _add_solve(commands: Any) -> None:
     )
     solve.add_argument(
         "--quiet", action="store_true", help="print nothing but what went wrong"
+    )
+
+
+def _add_audit(commands: Any) -> None:
+    audit = commands.add_parser(
+        "audit",
+        help="check a mission's derivatives",
+        description="Solve a mission and compare derivatives of its solution, by each of "
+        "its numbers, with finite differences of further solves.",
+    )
+    _add_mission(audit)
+    audit.add_argument(
+        "--of",
+        choices=AUDITED,
+        default=AUDITED[0],
+        help="what is differentiated (default: %(default)s)",
+    )
+    audit.add_argument(
+        "--wrt",
+        metavar="PATH",
+        action="append",
+        help="by what, or how its path begins, as in --wrt vehicle.mass; repeatable "
+        "(default: all but the plan of the guess)",
+    )
+    _add_enforce(audit, "between", WHERE_LIMITS_HOLD)
+    audit.add_argument("--json", metavar="FILE", help="write the table as JSON")
+
+
+def _add_mission(command: Any) -> None:
+    command.add_argument(
+        "mission", metavar="MISSION", help="a name `jaxscp missions` lists"
+    )
+    command.add_argument(
+        "--set",
+        metavar="PATH=JSON",
+        action="append",
+        default=[],
+        type=assignment,
+        dest="changes",
+        help="change a value of the mission, as in --set vehicle.mass=2.5; repeatable",
+    )
+    command.add_argument(
+        "--nodes",
+        type=node_count,
+        default=100,
+        metavar="N",
+        help="nodes of the time grid (default: %(default)s)",
     )
 
 

@@ -1,6 +1,7 @@
 """What each command does; each returns the exit status."""
 
 import argparse
+import dataclasses
 import io
 import json
 import sys
@@ -12,17 +13,20 @@ import equinox as eqx
 import jax
 
 from .. import _files, missions as catalogue
+from .._audit import HEADING, audit_gradient
 from .._choice import checked
+from .._direction import own_directions
 from .._hold import ZeroOrderHold
 from .._paper import PaperSCP
 from .._proximal import ProximalSCP
+from .._sensitivity_report import sensitivity_report
 from .._solution import Solution
 from .._trajectory import Trajectory
 from .._validation import check_guesses, check_problem
 from .._verification import Verification
 from ..missions import Mission
 from ._arguments import InputError
-from ._report import as_json, progress_line, table
+from ._report import as_json, finite, progress_line, table
 from ._timing import CompileClock, process_age
 
 SUCCESS, FAILURE = 0, 1
@@ -56,15 +60,7 @@ def solve(arguments: argparse.Namespace) -> int:
     seconds = {"import": process_age()}
     try:
         _check_outputs(arguments)
-        mission = catalogue.replace_many(
-            catalogue.get(arguments.mission), dict(arguments.changes)
-        )
-        problem = mission.problem()
-        guesses = catalogue.guesses(mission, arguments.nodes, grid=arguments.grid)
-        # `solve` would say the same. Asked here, what it raises later is a fault of the
-        # program, and shows as one.
-        check_problem(problem)
-        check_guesses(problem, guesses)
+        mission, guesses = _checked_mission(arguments, arguments.grid)
     except ValueError as error:
         raise InputError(error) from error
     solution, spent = _timed_solve(mission, arguments)
@@ -79,6 +75,59 @@ def solve(arguments: argparse.Namespace) -> int:
     elif not good:
         print(f"{mission.name}: {solution.message}", file=sys.stderr)
     return SUCCESS if good else FAILURE
+
+
+def audit(arguments: argparse.Namespace) -> int:
+    """Check a mission's derivatives, a line for each of its numbers."""
+    try:
+        if arguments.json is not None:
+            _files.check_writable("--json", arguments.json)
+        mission, _ = _checked_mission(arguments)
+        wrt = arguments.wrt or [
+            field.name for field in dataclasses.fields(mission) if field.name != "plan"
+        ]
+        own_directions(mission, wrt)
+    except ValueError as error:
+        raise InputError(error) from error
+    settings = {"enforce": arguments.enforce, "nodes": arguments.nodes}
+    solution = catalogue.solve(mission, throw=False, **settings)
+    if not bool(solution.polished):
+        print(f"{mission.name}: {solution.message}", file=sys.stderr)
+        return FAILURE
+    print(HEADING)
+    audit = audit_gradient(
+        mission,
+        arguments.of,
+        wrt,
+        build=Mission.problem,
+        guess=solution.trajectory,
+        discretization=solution.discretization,
+        progress=lambda row: print(row, flush=True),
+    )
+    if arguments.json is not None:
+        rows = [dataclasses.asdict(row) for row in audit.rows]
+        report = {"mission": mission.name, "of": arguments.of, "rows": rows}
+        _write_json(arguments.json, finite(report))
+    if audit.passed:
+        return SUCCESS
+    print(sensitivity_report(mission, solution, build=Mission.problem))
+    return FAILURE
+
+
+def _checked_mission(
+    arguments: argparse.Namespace, grid: str = "uniform"
+) -> tuple[Mission, tuple[Trajectory, ...]]:
+    """The mission that was asked for, and where its solve starts."""
+    mission = catalogue.replace_many(
+        catalogue.get(arguments.mission), dict(arguments.changes)
+    )
+    problem = mission.problem()
+    guesses = catalogue.guesses(mission, arguments.nodes, grid=grid)
+    # `solve` would say the same. Asked here, what it raises later is a fault of the
+    # program, and shows as one.
+    check_problem(problem)
+    check_guesses(problem, guesses)
+    return mission, guesses
 
 
 def _timed_solve(
@@ -128,9 +177,12 @@ def _write(
         figure.savefig(picture, format=_format(arguments.plot), dpi=150)
         _files.write_bytes(arguments.plot, picture.getvalue())
     if arguments.json is not None:
-        report = as_json(mission, solution, verification, seconds)
-        text = json.dumps(report, indent=2, allow_nan=False) + "\n"
-        _files.write_bytes(arguments.json, text.encode())
+        _write_json(arguments.json, as_json(mission, solution, verification, seconds))
+
+
+def _write_json(path: str, report: dict[str, Any]) -> None:
+    text = json.dumps(report, indent=2, allow_nan=False) + "\n"
+    _files.write_bytes(path, text.encode())
 
 
 def _format(path: str) -> str:

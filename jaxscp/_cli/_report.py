@@ -59,7 +59,7 @@ def as_json(
             **{package: _version(package) for package in PACKAGES},
         },
     }
-    return _finite(report)
+    return finite(report)
 
 
 def table(
@@ -178,12 +178,12 @@ def _version(package: str) -> str | None:
         return None
 
 
-def _finite(value: Any) -> Any:
+def finite(value: Any) -> Any:
     """The same tree with null where JSON has no number."""
     if isinstance(value, dict):
-        return {name: _finite(entry) for name, entry in value.items()}
+        return {name: finite(entry) for name, entry in value.items()}
     if isinstance(value, list):
-        return [_finite(entry) for entry in value]
+        return [finite(entry) for entry in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
