@@ -4,7 +4,10 @@ import os
 from pathlib import Path
 
 # What runs a few times takes longer to optimize than to run. Read when JAX starts.
-os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0")
+os.environ.setdefault(
+    "XLA_FLAGS",
+    "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false",
+)
 
 import hypothesis
 import jax

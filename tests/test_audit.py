@@ -60,3 +60,25 @@ def test_an_unknown_name():
     problem = textbook.minimum_energy_double_integrator()
     with pytest.raises(ValueError, match=r"wrt=\['mass'\]: no parameter.*final_time.val"):
         jaxscp.audit_gradient(problem, wrt=["mass"], nodes=8)
+
+
+def test_an_unknown_quantity():
+    problem = textbook.minimum_energy_double_integrator()
+    with pytest.raises(ValueError, match=r"of='energy': choose 'objective' or 'final_t"):
+        jaxscp.audit_gradient(problem, "energy", nodes=8)
+
+
+def test_a_solve_that_fails_fails_its_row_alone(dragged):
+    """A step so long that the limits cross leaves no problem to solve."""
+    seen = []
+    audit = jaxscp.audit_gradient(
+        dragged,
+        wrt=["final_state", "dynamics"],
+        nodes=8,
+        steps=(50.0, 1e-2),
+        progress=seen.append,
+    )
+    assert [row.name for row in audit.rows] == [row.name for row in seen]
+    assert len(seen) == 2
+    assert not audit.passed
+    assert "nan" in str(audit)

@@ -80,6 +80,27 @@ def test_limits_hold_between_the_nodes_unless_told_otherwise(solved):
     assert main(["verify", str(folder / "a.npz"), "--enforce", "between"]) == 0
 
 
+def test_audit_confirms_a_derivative(tmp_path, capsys):
+    path = tmp_path / "audit.json"
+    arguments = ["--nodes", "25", "--wrt", "vehicle.mass", "--json", str(path)]
+    assert main(["audit", "free-flight", *arguments]) == 0
+    heading, row = capsys.readouterr().out.splitlines()
+    assert heading.split()[0] == "parameter"
+    assert row.split()[0] == "vehicle.mass"
+    assert row.endswith("pass")
+    report = json.loads(path.read_text())
+    assert (report["mission"], report["of"]) == ("free-flight", "objective")
+    (entry,) = report["rows"]
+    assert entry["passed"] is True
+    assert entry["implicit"] == pytest.approx(entry["difference"], rel=1e-3)
+
+
+def test_audit_names_what_there_is(capsys):
+    message = refused(capsys, ["audit", "free-flight", "--wrt", "weight"])
+    assert "wrt=['weight']: no parameter's name begins so" in message
+    assert "vehicle.mass" in message
+
+
 def test_limits_at_the_nodes_alone_are_exceeded_between(tmp_path):
     path = tmp_path / "nodes.json"
     arguments = [*QUICK, "--enforce", "nodes", "--quiet", "--json", str(path)]
