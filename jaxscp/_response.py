@@ -83,21 +83,21 @@ def response(
     unravel = ravel_pytree(solution.optimum.sides)[1]
     for _ in range(_TRIES):
         rates, *changes = _rates(solution, tangent)
-        trends = [_Trend.of(solution, standing, changes, i, side) for i in (0, 1)]
         if not np.isfinite(flat(rates)).all():
             break
-        if any((leaving := trend.leaving(weak)).any() for trend in trends):
-            sides = unravel(
-                jnp.asarray(np.where(leaving, 0.0, flat(solution.optimum.sides)))
-            )
-            solution = eqx.tree_at(lambda s: s.optimum.sides, solution, sides)
-        elif any((entering := trend.entering(weak)).any() for trend in trends):
-            optimum = exchanged(
-                solution.transcription, solution.optimum, unravel(jnp.asarray(entering))
-            )
-            solution = eqx.tree_at(lambda s: s.optimum, solution, optimum)
+        trends = [_Trend.of(solution, standing, changes, i, side) for i in (0, 1)]
+        leaving = trends[0].leaving(weak) | trends[1].leaving(weak)
+        entering = [limit for trend in trends if (limit := trend.entering(weak)).any()]
+        optimum = solution.optimum
+        if leaving.any():
+            sides = jnp.asarray(np.where(leaving, 0.0, flat(optimum.sides)))
+            optimum = eqx.tree_at(lambda o: o.sides, optimum, unravel(sides))
+        elif entering:
+            first = unravel(jnp.asarray(entering[0]))
+            optimum = exchanged(solution.transcription, optimum, first)
         else:
             return Response(rates, *_next(solution, trends, unravel, weak, side))
+        solution = eqx.tree_at(lambda s: s.optimum, solution, optimum)
     nothing = jax.tree.map(lambda leaf: jnp.full_like(leaf, jnp.nan), rates)
     return Response(nothing, side * np.inf, None)
 

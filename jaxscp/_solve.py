@@ -55,7 +55,8 @@ def solve(
     exact Hessian of the Lagrangian. Neither unrolls the iteration. A solution does not
     depend on its guess, nor on the scales of `Bounds`, which steer the iteration only.
     Where a constraint is weakly active, its multiplier and its slack both zero, there are
-    two one-sided derivatives, and one of them is returned.
+    two one-sided derivatives, and one of them is returned: [`sensitivity_report`][] has
+    both.
 
     **Main arguments:**
 

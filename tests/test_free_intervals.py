@@ -209,3 +209,29 @@ def test_any_guess_is_made_gradual(seconds):
     found = np.asarray(durations(pace))
     assert np.max(np.abs(np.diff(np.log(found)))) <= math.log(1.2) + 1e-9
     assert found.sum() == pytest.approx(float(jnp.sum(seconds)))
+
+
+def test_derivatives_on_a_free_grid():
+    """By the price of effort, against differences of solves and the report."""
+
+    def cost_and_time(problem):
+        solution = solved(problem)
+        return solution.objective, solution.trajectory.final_time
+
+    def problem_of(effort):
+        return cart(effort=effort, lateness=1.0, acceleration=1.1)
+
+    price, step = 0.4, 1e-3
+    problem = problem_of(price)
+    way = jax.tree.map(jnp.zeros_like, eqx.filter(problem, eqx.is_inexact_array))
+    way = eqx.tree_at(lambda p: p.running_cost.price, way, jnp.ones(()))
+    _, found = eqx.filter_jvp(cost_and_time, (problem,), (way,))
+    high, low = (cost_and_time(problem_of(price + s)) for s in (step, -step))
+    for slope, above, below in zip(found, high, low, strict=True):
+        assert float(slope) == pytest.approx(float(above - below) / (2 * step), rel=1e-3)
+    report = jaxscp.sensitivity_report(
+        problem, solved(problem), {"running_cost.price": 1.0}
+    )
+    for answer in (report.ahead, report.behind):
+        rates = (answer.rates.objective, answer.rates.trajectory.final_time)
+        np.testing.assert_allclose(rates, found, rtol=1e-6)

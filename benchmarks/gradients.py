@@ -1,0 +1,155 @@
+"""What derivatives cost: python -m benchmarks.gradients
+
+Missions are solved from their own guesses, with limits between the nodes. Then two
+derivatives by every number of the problem are timed: that of the objective (envelope
+theorem) and that of a random sum of all states, controls and the flight time (implicit
+function theorem, in reverse). Memory is what XLA sets aside for their programs. Central
+differences take two solves for each number of the problem; one is timed from the
+solution, with one number changed by a thousandth.
+"""
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import matplotlib.pyplot as plt
+import numpy as np
+
+import jaxscp
+from jaxscp import Discretization, missions
+from jaxscp._outcome import differentiable
+
+from .growth import exponent
+from .report import write_report
+from .timing import timed_solve
+
+MISSIONS = ("free-flight", "free-space-30MB-60dB")
+NODES = (25, 50, 100, 200, 400)
+FIGURE = Path(__file__).parent / "figures" / "gradients.png"
+BETWEEN = Discretization(between=missions.ENFORCED["between"])
+
+
+def reverse(of: Callable[[jaxscp.Solution], jax.Array], solution: jaxscp.Solution):
+    """The gradient of a function of the solution by the problem, compiled."""
+
+    def gradient(problem, solution):
+        def value(problem):
+            transcription = solution.transcription
+            moved = eqx.tree_at(lambda t: t.problem, transcription, problem)
+            return of(differentiable(moved, solution))
+
+        return eqx.filter_grad(value)(problem)
+
+    return eqx.filter_jit(gradient).lower(solution.problem, solution).compile()
+
+
+def seconds_of(call: Callable, repeats: int) -> float:
+    """Median of several calls, after one that warms up."""
+    jax.block_until_ready(call())
+    seconds = []
+    for _ in range(repeats):
+        begun = time.perf_counter()
+        jax.block_until_ready(call())
+        seconds.append(time.perf_counter() - begun)
+    return statistics.median(seconds)
+
+
+def spread(solution: jaxscp.Solution) -> jax.Array:
+    """A random sum of the whole trajectory."""
+    flight, draw = solution.trajectory, np.random.default_rng(0)
+    parts = (flight.states, flight.controls, flight.final_time)
+    return sum(jnp.vdot(draw.normal(size=part.shape), part) for part in parts)
+
+
+def measure(name: str, nodes: int, repeats: int) -> dict:
+    """One mission with so many nodes."""
+    mission = missions.get(name)
+    problem, guess = mission.problem(), mission.guess(nodes)
+    solution, _, solve = timed_solve(problem, guess, repeats, discretization=BETWEEN)
+    row = {"mission": name, "nodes": nodes, "polished": bool(solution.polished)}
+    row["solve_seconds"] = solve
+    for what, of in (("objective", lambda s: s.objective), ("trajectory", spread)):
+        program = reverse(of, solution)
+        row[f"{what}_seconds"] = seconds_of(
+            lambda program=program: program(solution.problem, solution), 3 * repeats
+        )
+        row[f"{what}_bytes"] = program.compiled.memory_analysis().temp_size_in_bytes
+    heavier = eqx.tree_at(
+        lambda p: p.dynamics.mass, problem, 1.001 * mission.vehicle.mass
+    )
+    _, _, again = timed_solve(
+        heavier, solution.trajectory, repeats, discretization=BETWEEN
+    )
+    leaves = jax.tree.leaves(eqx.filter(mission, eqx.is_inexact_array))
+    row["numbers"] = sum(leaf.size for leaf in leaves)
+    row["differences_seconds"] = 2 * row["numbers"] * again
+    return row
+
+
+def line(row: dict) -> str:
+    """A row of the table, in Markdown."""
+    cells = [row["mission"], row["nodes"], f"{row['solve_seconds']:.2f}"]
+    for what in ("objective", "trajectory"):
+        spent = row[f"{what}_seconds"]
+        cells.append(f"{1e3 * spent:.1f} ({100 * spent / row['solve_seconds']:.1f} %)")
+        cells.append(f"{row[f'{what}_bytes'] / 2**20:.1f}")
+    cells.append(f"{row['differences_seconds']:.0f}")
+    cells.append("yes" if row["polished"] else "no")
+    return f"| {' | '.join(map(str, cells))} |"
+
+
+def figure(by_mission: dict[str, list[dict]], path: Path) -> None:
+    """Time and memory over the number of nodes."""
+    drawing, (times, memory) = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
+    for (name, rows), style in zip(by_mission.items(), ("o-", "s--"), strict=False):
+        nodes = [row["nodes"] for row in rows]
+        for color, what in enumerate(("differences", "solve", "trajectory", "objective")):
+            values = [row[f"{what}_seconds"] for row in rows]
+            times.loglog(nodes, values, style, color=f"C{color}", label=f"{what}, {name}")
+            if f"{what}_bytes" in rows[0]:
+                size = [row[f"{what}_bytes"] / 2**20 for row in rows]
+                power = exponent(rows, f"{what}_bytes")
+                label = f"{what}, {name}: N^{power:.2f}"
+                memory.loglog(nodes, size, style, color=f"C{color}", label=label)
+    times.set(xlabel="nodes N", ylabel="seconds")
+    memory.set(xlabel="nodes N", ylabel="memory [MiB]")
+    for axes in (times, memory):
+        axes.legend(fontsize=6)
+        axes.grid(alpha=0.3)
+    path.parent.mkdir(exist_ok=True)
+    drawing.savefig(path, dpi=120)
+    plt.close(drawing)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--missions", nargs="*", default=list(MISSIONS))
+    parser.add_argument("--nodes", type=int, nargs="*", default=list(NODES))
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    parser.add_argument("--figure", type=Path, help="where to draw it", default=FIGURE)
+    arguments = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    print(
+        "| mission | N | solve, s | objective, ms | MiB | trajectory, ms | MiB"
+        " | differences, s | polished |"
+    )
+    print("|---|---|---|---|---|---|---|---|---|")
+    by_mission: dict[str, list[dict]] = {name: [] for name in arguments.missions}
+    for nodes in arguments.nodes:
+        for name, rows in by_mission.items():
+            rows.append(measure(name, nodes, arguments.repeats))
+            print(line(rows[-1]), flush=True)
+            jax.clear_caches()
+        if arguments.json:
+            write_report(arguments.json, missions=by_mission)
+    figure(by_mission, arguments.figure)
+
+
+if __name__ == "__main__":
+    main()
