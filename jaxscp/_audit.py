@@ -179,6 +179,8 @@ def _agree(
     found: tuple[float, float], difference: float, tolerance: float, noise: float
 ) -> bool:
     """Whether a difference confirms derivatives, those that are known."""
+    if math.isnan(difference):
+        return False
     apart = np.nanmax(np.abs(np.array(found) - difference))
     size = max(abs(found[0]), abs(difference))
     return bool(apart <= tolerance * size + noise)
@@ -189,9 +191,8 @@ def _times(factor: float, tree: PyTree) -> PyTree:
 
 
 def _steadiest(sweep: list[float]) -> int:
-    """The entry that differs least from the one before or behind it."""
-    if len(sweep) == 1:
-        return 0
+    """The entry that differs least from the one before; NaN is no entry."""
     changes = np.abs(np.diff(sweep))
-    # Not a number where a solve failed.
-    return int(np.argmin(np.where(np.isnan(changes), np.inf, changes))) + 1
+    if np.isfinite(changes).any():
+        return int(np.nanargmin(changes)) + 1
+    return int(np.argmin(np.isnan(sweep)))

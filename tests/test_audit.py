@@ -3,6 +3,7 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
 import jaxscp
@@ -68,17 +69,24 @@ def test_an_unknown_quantity():
         jaxscp.audit_gradient(problem, "energy", nodes=8)
 
 
-def test_a_solve_that_fails_fails_its_row_alone(dragged):
-    """A step so long that the limits cross leaves no problem to solve."""
+def test_solves_that_fail_fail_their_row_alone(dragged):
+    """Limits that cross leave no problem to solve."""
     seen = []
     audit = jaxscp.audit_gradient(
         dragged,
         wrt=["final_state", "dynamics"],
         nodes=8,
-        steps=(50.0, 1e-2),
+        steps=(60.0, 50.0),
         progress=seen.append,
     )
-    assert [row.name for row in audit.rows] == [row.name for row in seen]
-    assert len(seen) == 2
-    assert not audit.passed
+    assert [row.name for row in seen] == ["dynamics.drag", "final_state.value"]
+    assert not seen[1].passed
+    assert np.isnan(seen[1].difference)
     assert "nan" in str(audit)
+
+
+def test_a_step_that_fails_is_passed_over(dragged):
+    steps = (60.0, 1e-2)
+    audit = jaxscp.audit_gradient(dragged, wrt=["final_state"], nodes=8, steps=steps)
+    assert audit.passed
+    assert audit.rows[0].step == 1e-2

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxscp import History, Status, missions
+from jaxscp import Audit, Audited, History, Status, missions
 from jaxscp.__main__ import main
+from jaxscp._cli import _commands
 from jaxscp._cli._report import progress_line
 
 KEYS = {
@@ -80,19 +81,32 @@ def test_limits_hold_between_the_nodes_unless_told_otherwise(solved):
     assert main(["verify", str(folder / "a.npz"), "--enforce", "between"]) == 0
 
 
-def test_audit_confirms_a_derivative(tmp_path, capsys):
+@pytest.mark.parametrize("passed", [True, False])
+def test_audit_says_what_it_found(passed, tmp_path, capsys, monkeypatch):
+    """The table row by row; where a row fails, also whether the point is regular."""
+    found = Audited("vehicle.mass", 2.0, float("nan"), 2.1, 1e-3, 1e-5, passed)
+
+    def audit(mission, of, wrt, *, build, progress, **settings):
+        assert (of, wrt) == ("final_time", ["vehicle"])
+        assert build(mission).state_names[0] == "x"
+        assert settings["guess"].nodes == 25
+        progress(found)
+        return Audit((found,))
+
+    monkeypatch.setattr(_commands, "audit_gradient", audit)
+    monkeypatch.setattr(_commands, "sensitivity_report", lambda *_, build: "regular no")
     path = tmp_path / "audit.json"
-    arguments = ["--nodes", "25", "--wrt", "vehicle.mass", "--json", str(path)]
-    assert main(["audit", "free-flight", *arguments]) == 0
-    heading, row = capsys.readouterr().out.splitlines()
-    assert heading.split()[0] == "parameter"
-    assert row.split()[0] == "vehicle.mass"
-    assert row.endswith("pass")
+    arguments = ["--nodes", "25", "--wrt", "vehicle", "--of", "final_time"]
+    status = main(["audit", "free-flight", *arguments, "--json", str(path)])
+    assert status == (0 if passed else 1)
+    heading, row, *rest = capsys.readouterr().out.splitlines()
+    assert heading.split()[:2] == ["parameter", "implicit"]
+    assert row == str(found)
+    assert rest == ([] if passed else ["regular no"])
     report = json.loads(path.read_text())
-    assert (report["mission"], report["of"]) == ("free-flight", "objective")
+    assert (report["mission"], report["of"]) == ("free-flight", "final_time")
     (entry,) = report["rows"]
-    assert entry["passed"] is True
-    assert entry["implicit"] == pytest.approx(entry["difference"], rel=1e-3)
+    assert (entry["passed"], entry["envelope"]) == (passed, None)
 
 
 def test_audit_names_what_there_is(capsys):

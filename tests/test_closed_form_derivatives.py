@@ -33,35 +33,35 @@ class TestClosedForms:
     """Where the hold is exact the discrete optimum is the true one."""
 
     def test_minimum_energy(self):
+        """First derivatives, and second ones."""
         d, T = 1.3, 0.9
-        slopes = jax.grad(lambda d, T: energy(d, T).objective, (0, 1))(d, T)
-        assert slopes == pytest.approx((24 * d / T**3, -36 * d**2 / T**4), rel=1e-7)
 
-    def test_second_derivatives_of_minimum_energy(self):
-        d, T = 1.3, 0.9
-        hessian = jax.hessian(lambda d, T: energy(d, T).objective, (0, 1))(d, T)
+        def slopes(d, T):
+            first = jax.grad(lambda d, T: energy(d, T).objective, (0, 1))(d, T)
+            return first, first
+
+        hessian, first = jax.jacfwd(slopes, (0, 1), has_aux=True)(d, T)
+        assert first == pytest.approx((24 * d / T**3, -36 * d**2 / T**4), rel=1e-7)
         mixed = -72 * d / T**4
         expected = [[24 / T**3, mixed], [mixed, 144 * d**2 / T**5]]
         np.testing.assert_allclose(hessian, expected, rtol=1e-6)
 
     def test_trajectory_of_minimum_energy(self):
-        """The acceleration 6 d (1 - 2 t / T) / T^2 and the position are linear in d."""
+        """The acceleration 6 d (1 - 2 t / T) / T^2 and the position are linear in d, and
+        the position's costate is constant: -24 d / T^3, the price of the way.
+        """
         d, T = 1.3, 0.9
 
         def flight(d):
-            trajectory = energy(d, T).trajectory
-            return trajectory.controls[:, 0], trajectory.states[:, 0]
+            solution = energy(d, T)
+            flown = solution.trajectory
+            prices = solution.multipliers.dynamics[:, 0]
+            return flown.controls[:, 0], flown.states[:, 0], prices
 
         s = np.linspace(0, 1, 7)
-        expected = 6 * (1 - 2 * s) / T**2, s**2 * (3 - 2 * s)
+        expected = 6 * (1 - 2 * s) / T**2, s**2 * (3 - 2 * s), np.full(6, -24 / T**3)
         for found, known in zip(jax.jacrev(flight)(d), expected, strict=True):
-            np.testing.assert_allclose(found, known, atol=1e-7)
-
-    def test_costates_of_minimum_energy(self):
-        """That of the position is constant: -24 d / T^3, the price of the way."""
-        d, T = 1.3, 0.9
-        prices = jax.jacfwd(lambda d: energy(d, T).multipliers.dynamics[:, 0])(d)
-        np.testing.assert_allclose(prices, -24 / T**3, rtol=1e-6)
+            np.testing.assert_allclose(found, known, rtol=1e-6, atol=1e-7)
 
     def test_transformed(self):
         """A batch is a loop; `jax.jit` changes nothing, inside or outside."""
