@@ -4,6 +4,7 @@ import dataclasses
 import json
 import os
 import sys
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -93,6 +94,13 @@ def test_audit_says_what_it_found(passed, tmp_path, capsys, monkeypatch):
         progress(found)
         return Audit((found,))
 
+    def solve(mission, *, enforce, nodes, throw):
+        assert enforce == "between"
+        assert not throw
+        guess = mission.guess(nodes)
+        return SimpleNamespace(polished=True, trajectory=guess, discretization=None)
+
+    monkeypatch.setattr(missions, "solve", solve)
     monkeypatch.setattr(_commands, "audit_gradient", audit)
     monkeypatch.setattr(_commands, "sensitivity_report", lambda *_, build: "regular no")
     path = tmp_path / "audit.json"
