@@ -8,9 +8,7 @@ differences take two solves for each number of the problem; one is timed from th
 solution, with one number changed by a thousandth.
 """
 
-import argparse
-import statistics
-import time
+import functools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -24,13 +22,10 @@ import jaxscp
 from jaxscp import Discretization, missions
 from jaxscp._outcome import differentiable
 
-from .growth import exponent
-from .report import write_report
-from .timing import timed_solve
+from .over_nodes import exponent, finish, measured
+from .timing import timed, timed_solve
 
-MISSIONS = ("free-flight", "free-space-30MB-60dB")
 NODES = (25, 50, 100, 200, 400)
-FIGURE = Path(__file__).parent / "figures" / "gradients.png"
 BETWEEN = Discretization(between=missions.ENFORCED["between"])
 
 
@@ -48,17 +43,6 @@ def reverse(of: Callable[[jaxscp.Solution], jax.Array], solution: jaxscp.Solutio
     return eqx.filter_jit(gradient).lower(solution.problem, solution).compile()
 
 
-def seconds_of(call: Callable, repeats: int) -> float:
-    """Median of several calls, after one that warms up."""
-    jax.block_until_ready(call())
-    seconds = []
-    for _ in range(repeats):
-        begun = time.perf_counter()
-        jax.block_until_ready(call())
-        seconds.append(time.perf_counter() - begun)
-    return statistics.median(seconds)
-
-
 def spread(solution: jaxscp.Solution) -> jax.Array:
     """A random sum of the whole trajectory."""
     flight, draw = solution.trajectory, np.random.default_rng(0)
@@ -68,6 +52,7 @@ def spread(solution: jaxscp.Solution) -> jax.Array:
 
 def measure(name: str, nodes: int, repeats: int) -> dict:
     """One mission with so many nodes."""
+    jax.clear_caches()
     mission = missions.get(name)
     problem, guess = mission.problem(), mission.guess(nodes)
     solution, _, solve = timed_solve(problem, guess, repeats, discretization=BETWEEN)
@@ -75,9 +60,8 @@ def measure(name: str, nodes: int, repeats: int) -> dict:
     row["solve_seconds"] = solve
     for what, of in (("objective", lambda s: s.objective), ("trajectory", spread)):
         program = reverse(of, solution)
-        row[f"{what}_seconds"] = seconds_of(
-            lambda program=program: program(solution.problem, solution), 3 * repeats
-        )
+        call = functools.partial(program, solution.problem, solution)
+        row[f"{what}_seconds"] = timed(call, 3 * repeats).warm
         row[f"{what}_bytes"] = program.compiled.memory_analysis().temp_size_in_bytes
     heavier = eqx.tree_at(
         lambda p: p.dynamics.mass, problem, 1.001 * mission.vehicle.mass
@@ -118,37 +102,15 @@ def figure(by_mission: dict[str, list[dict]], path: Path) -> None:
                 memory.loglog(nodes, size, style, color=f"C{color}", label=label)
     times.set(xlabel="nodes N", ylabel="seconds")
     memory.set(xlabel="nodes N", ylabel="memory [MiB]")
-    for axes in (times, memory):
-        axes.legend(fontsize=6)
-        axes.grid(alpha=0.3)
-    path.parent.mkdir(exist_ok=True)
-    drawing.savefig(path, dpi=120)
-    plt.close(drawing)
+    finish(drawing, path, legend=6)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--missions", nargs="*", default=list(MISSIONS))
-    parser.add_argument("--nodes", type=int, nargs="*", default=list(NODES))
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--json", type=Path, help="where to write the numbers")
-    parser.add_argument("--figure", type=Path, help="where to draw it", default=FIGURE)
-    arguments = parser.parse_args()
-    jax.config.update("jax_enable_x64", True)
-    print(
-        "| mission | N | solve, s | objective, ms | MiB | trajectory, ms | MiB"
-        " | differences, s | polished |"
+    headings = (
+        "mission | N | solve, s | objective, ms | MiB | trajectory, ms | MiB"
+        " | differences, s | polished"
     )
-    print("|---|---|---|---|---|---|---|---|---|")
-    by_mission: dict[str, list[dict]] = {name: [] for name in arguments.missions}
-    for nodes in arguments.nodes:
-        for name, rows in by_mission.items():
-            rows.append(measure(name, nodes, arguments.repeats))
-            print(line(rows[-1]), flush=True)
-            jax.clear_caches()
-        if arguments.json:
-            write_report(arguments.json, missions=by_mission)
-    figure(by_mission, arguments.figure)
+    figure(*measured("gradients", __doc__, NODES, headings, measure, line))
 
 
 if __name__ == "__main__":

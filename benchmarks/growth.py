@@ -6,7 +6,6 @@ its iterations, those that polish included: processor time, which other programs
 machine hardly change.
 """
 
-import argparse
 import time
 from pathlib import Path
 
@@ -17,12 +16,11 @@ import numpy as np
 import jaxscp
 from jaxscp import missions
 
-from .report import HEADINGS, cells, facts_of, write_report
+from .over_nodes import exponent, finish, measured
+from .report import HEADINGS, cells, facts_of
 from .timing import timed_solve
 
-MISSIONS = ("free-flight", "free-space-30MB-60dB")
 NODES = (50, 100, 200, 400, 800, 1200, 2000)
-FIGURE = Path(__file__).parent / "figures" / "growth.png"
 
 
 def measure(name: str, nodes: int, repeats: int) -> dict:
@@ -49,12 +47,6 @@ def measure(name: str, nodes: int, repeats: int) -> dict:
     }
 
 
-def exponent(rows: list[dict], of: str) -> float:
-    """The power of the number of nodes that fits best."""
-    nodes, values = ([row[what] for row in rows] for what in ("nodes", of))
-    return float(np.polyfit(np.log(nodes), np.log(values), 1)[0])
-
-
 def figure(by_mission: dict[str, list[dict]], path: Path) -> None:
     """Time per iteration and number of iterations over the number of nodes."""
     drawing, (times, counts) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
@@ -72,12 +64,7 @@ def figure(by_mission: dict[str, list[dict]], path: Path) -> None:
     times.loglog(ends, seconds[0] * ends / ends[0], "k--", lw=0.8, label="N")
     times.set(xlabel="nodes N", ylabel="processor time per iteration [s]")
     counts.set(xlabel="nodes N", ylabel="iterations", ylim=(0, None))
-    for axes in (times, counts):
-        axes.legend(fontsize=8)
-        axes.grid(alpha=0.3)
-    path.parent.mkdir(exist_ok=True)
-    drawing.savefig(path, dpi=120)
-    plt.close(drawing)
+    finish(drawing, path, legend=8)
 
 
 def line(row: dict) -> str:
@@ -93,30 +80,15 @@ def line(row: dict) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--missions", nargs="*", default=list(MISSIONS))
-    parser.add_argument("--nodes", type=int, nargs="*", default=list(NODES))
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--json", type=Path, help="where to write the numbers")
-    parser.add_argument("--figure", type=Path, help="where to draw it", default=FIGURE)
-    arguments = parser.parse_args()
-    jax.config.update("jax_enable_x64", True)
-    print(
-        f"| mission | N | {HEADINGS} | s | CPU s"
-        " | CPU ms an iteration | converged | verified |"
+    headings = (
+        f"mission | N | {HEADINGS} | s | CPU s"
+        " | CPU ms an iteration | converged | verified"
     )
-    print("|---|---|---|---|---|---|---|---|---|---|---|")
-    by_mission: dict[str, list[dict]] = {name: [] for name in arguments.missions}
-    for nodes in arguments.nodes:
-        for name, rows in by_mission.items():
-            rows.append(measure(name, nodes, arguments.repeats))
-            print(line(rows[-1]), flush=True)
-        if arguments.json:
-            write_report(arguments.json, missions=by_mission)
+    by_mission, path = measured("growth", __doc__, NODES, headings, measure, line)
     for name, rows in by_mission.items():
         power = exponent(rows, "seconds_per_iteration")
         print(f"{name}: time per iteration grows as N^{power:.2f}")
-    figure(by_mission, arguments.figure)
+    figure(by_mission, path)
 
 
 if __name__ == "__main__":

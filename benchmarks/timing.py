@@ -2,7 +2,8 @@
 
 import statistics
 import time
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax
 
@@ -10,11 +11,23 @@ import jaxscp
 
 
 class Timed(NamedTuple):
-    """The last solution, with wall-clock seconds: with compilation, and without."""
+    """The last result, with wall-clock seconds: of the first call, which may compile,
+    and the median of the others.
+    """
 
-    solution: jaxscp.Solution
+    result: Any
     cold: float
     warm: float
+
+
+def timed(call: Callable[[], Any], repeats: int) -> Timed:
+    """Call once, then `repeats` times."""
+    seconds = []
+    for _ in range(repeats + 1):
+        begun = time.perf_counter()
+        result = jax.block_until_ready(call())
+        seconds.append(time.perf_counter() - begun)
+    return Timed(result, seconds[0], statistics.median(seconds[1:]))
 
 
 def timed_solve(
@@ -24,16 +37,12 @@ def timed_solve(
     method: jaxscp.AbstractSCP = jaxscp.ProximalSCP(),  # noqa: B008  (immutable)
     **settings,
 ) -> Timed:
-    """Solve once with compilation, then `repeats` times; warm is their median.
+    """The solution, and its times.
 
     **Arguments:**
 
     - `settings`: others of `jaxscp.solve`.
     """
-    seconds = []
-    for _ in range(repeats + 1):
-        begun = time.perf_counter()
-        solution = jaxscp.solve(problem, guess, method, throw=False, **settings)
-        jax.block_until_ready(solution)
-        seconds.append(time.perf_counter() - begun)
-    return Timed(solution, seconds[0], statistics.median(seconds[1:]))
+    return timed(
+        lambda: jaxscp.solve(problem, guess, method, throw=False, **settings), repeats
+    )

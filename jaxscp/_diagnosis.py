@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._paced_problem import PACE_STATES
-from ._problem import OptimalControlProblem
+from ._problem import OptimalControlProblem, entry_name
 from ._status import Status, sentence_of
 from ._trajectory import Trajectory
 from ._types import Array, Float
@@ -85,7 +85,7 @@ def _violated(
         for name, broken in by_name.items():
             if broken.size:
                 relative, row, entry, value = _worst(broken, path_scales[name])
-                which = f"{name}[{entry}]" if broken.shape[1] > 1 else name
+                which = entry_name(name, entry, broken.shape[1])
                 amount = _amount(problem, name, value)
                 yield relative, f"{which} is broken by {amount} {where(row)}"
     for name, missing in violations.integrals.items():

@@ -9,10 +9,12 @@ Mathematical Programming 27 (1983).
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
 
 from ._active_system import PerLimit
 from ._kkt import KKTPoint, Optimum, of_inequalities, slacks
 from ._max_norm import max_norm
+from ._per_constraint import PerConstraint
 from ._regularity import fixed_limits
 from ._sensitivity import kkt_solve
 from ._transcription import Transcription, Variables
@@ -55,9 +57,7 @@ def exchanged(
         of_inequalities(optimum.point),
         of_inequalities(pushed),
     )
-    first = jnp.min(
-        jnp.stack([jnp.min(s, initial=jnp.inf) for s in jax.tree.leaves(gives)])
-    )
+    first = jnp.min(ravel_pytree(gives)[0])
     leaves = jax.tree.map(lambda share: depends & (share <= first), gives)
     sides = jax.tree.map(
         lambda side, enters, gone: jnp.where(gone, 0.0, side) + enters,
@@ -65,12 +65,8 @@ def exchanged(
     )
     # Nothing lets go: there is no solution to that side.
     taken = jnp.where(depends, jnp.where(first < jnp.inf, first, jnp.nan), 0.0)
-    point = jax.tree.map(lambda own, change: own + taken * change, optimum.point, pushed)
-    return eqx.tree_at(
-        lambda o: (o.sides, o.point),
-        optimum,
-        (sides, _with(point, entering, taken, optimum.point.step)),
-    )
+    point = _after(optimum.point, pushed, entering, taken)
+    return eqx.tree_at(lambda o: (o.sides, o.point), optimum, (sides, point))
 
 
 def _share(fixed: Array, side: Array, multiplier: Array, change: Array) -> Array:
@@ -80,26 +76,16 @@ def _share(fixed: Array, side: Array, multiplier: Array, change: Array) -> Array
     return jnp.where(shrinks, own / jnp.where(shrinks, -gained, 1.0), jnp.inf)
 
 
-def _with(
-    point: KKTPoint, entering: PerLimit, taken: Scalar, step: Variables
+def _after(
+    point: KKTPoint, pushed: KKTPoint, entering: PerLimit, taken: Scalar
 ) -> KKTPoint:
-    """With the multiplier of the limit that enters; the variables do not move."""
-    more = jax.tree.map(lambda enters: taken * enters, entering)
-    own = point.multipliers
-    return eqx.tree_at(
-        lambda p: (
-            p.step,
-            p.limits,
-            p.multipliers.path,
-            p.multipliers.between,
-            p.multipliers.integral,
-        ),
-        point,
-        (
-            step,
-            jax.tree.map(jnp.add, point.limits, more.variables),
-            own.path + more.path,
-            own.between + more.between,
-            own.integral + more.integral,
-        ),
+    """With the multipliers of so much pushing; the variables do not move."""
+    inequalities = jax.tree.map(
+        lambda own, change, enters: own + taken * (change + enters),
+        *(of_inequalities(point), of_inequalities(pushed), entering),
     )
+    costates = point.multipliers.dynamics + taken * pushed.multipliers.dynamics
+    multipliers = PerConstraint(
+        costates, inequalities.path, inequalities.between, inequalities.integral
+    )
+    return KKTPoint(point.step, multipliers, inequalities.variables)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ._bounds import Bounds
-from ._problem import OptimalControlProblem
+from ._problem import OptimalControlProblem, entry_name
 
 # A state that hardly moves is measured by this share of its typical size, or of the
 # range of its limits, or, lacking both, of one unit (of the largest range covered, if
@@ -126,8 +126,7 @@ def broken_limits(
     )
     found |= controls
     for name, g in points.path.items():
-        several = g.shape[1] > 1
-        entries = [f"{name}[{j}]" if several else name for j in range(g.shape[1])]
+        entries = [entry_name(name, j, g.shape[1]) for j in range(g.shape[1])]
         broken = _worst(
             problem, entries, g, times, allowed_path[name], problem.unit(name)
         )

@@ -2,9 +2,12 @@
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 
 from ._active_system import PerLimit
+from ._problem import entry_name
 from ._scaling import Scaling
 from ._solution import Solution
 from ._transcription import Variables
@@ -38,19 +41,21 @@ class LimitName(eqx.Module):
         return f"{self.name}, {self.limit}, {where} node {self.node} ({self.time:.4g} s)"
 
 
-def names_at(solution: Solution, side: int, chosen: PerLimit) -> list[LimitName]:
-    """Names of the limits where a mask holds, in the order of its leaves.
+def names_at(solution: Solution, side: int, row: np.ndarray) -> list[LimitName]:
+    """Names of the limits where a mask holds, a row as of `flat`, in its order.
 
     **Arguments:**
 
     - `side`: 0 for the lower limits, 1 for the upper ones.
     """
+    unravel = ravel_pytree(solution.optimum.sides)[1]
+    chosen = unravel(jnp.asarray(row, float))
     problem = solution.transcription.problem
     word = ("lower limit", "upper limit")[side]
     times = np.asarray(solution.trajectory.times)
     watch = solution.transcription.watch
     path = [
-        f"{name}[{entry}]" if size > 1 else name
+        entry_name(name, entry, size)
         for name, size in problem.path_sizes.items()
         for entry in range(size)
     ]

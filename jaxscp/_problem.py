@@ -142,6 +142,15 @@ class OptimalControlProblem(eqx.Module):
         """The unit of one of its names; "" if unknown."""
         return dict(self.units).get(name, "")
 
+    def unit_of_entry(self, name: str) -> str:
+        """The same, also of one entry of a name, as in `buildings[1]`."""
+        return self.unit(name) or self.unit(name.partition("[")[0])
+
+
+def entry_name(name: str, entry: int, size: int) -> str:
+    """What one entry of a constraint is called; an only one goes by the constraint's."""
+    return f"{name}[{entry}]" if size > 1 else name
+
 
 def _indexed(letter: str, bounds: Bounds) -> tuple[str, ...]:
     return tuple(f"{letter}[{index}]" for index in range(bounds.lower.size))

@@ -96,7 +96,7 @@ def response(
             first = unravel(jnp.asarray(entering[0]))
             optimum = exchanged(solution.transcription, optimum, first)
         else:
-            return Response(rates, *_next(solution, trends, unravel, weak, side))
+            return Response(rates, *_next(solution, trends, weak, side))
         solution = eqx.tree_at(lambda s: s.optimum, solution, optimum)
     nothing = jax.tree.map(lambda leaf: jnp.full_like(leaf, jnp.nan), rates)
     return Response(nothing, side * np.inf, None)
@@ -177,7 +177,7 @@ class _Trend(NamedTuple):
 
 
 def _next(
-    solution: Solution, trends: list[_Trend], unravel, weak: float, side: int
+    solution: Solution, trends: list[_Trend], weak: float, side: int
 ) -> tuple[float, LimitName | None]:
     """When the active set changes next, and by which limit."""
     shares = [trend.shares(weak) for trend in trends]
@@ -186,5 +186,5 @@ def _next(
     nearest = float(shares[limit][first])
     if not nearest < np.inf:
         return side * np.inf, None
-    mask = unravel(jnp.asarray(np.arange(shares[limit].size) == first, float))
-    return side * nearest, names_at(solution, limit, mask)[0]
+    only = np.arange(shares[limit].size) == first
+    return side * nearest, names_at(solution, limit, only)[0]

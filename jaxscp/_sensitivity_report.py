@@ -5,9 +5,7 @@ from itertools import groupby
 from typing import Any
 
 import equinox as eqx
-import jax
 import numpy as np
-from jax.flatten_util import ravel_pytree
 
 from ._direction import direction as direction_of
 from ._free_intervals import lifted
@@ -129,7 +127,7 @@ def sensitivity_report(
     - `solution`: a polished one.
     - `direction`: what to change by how much, by dotted paths, such as
         `{"final_state.upper": 1.0, "final_state.lower": 1.0}`, or `{"final_state": 1.0}`
-        for both, or of a mission `{"channel.station": [1.0, 0.0, 0.0]}`.
+        for both, or of a mission `{"channel.ground_station": [1.0, 0.0, 0.0]}`.
     - `weak`: scaled multipliers and slacks below are zero.
 
     **Raises:** `ValueError` for a solution that is not polished, a path that names no
@@ -184,19 +182,17 @@ def _standing(
     """How the limits stand that masks choose, lower ones first."""
     scaling, problem = solution.optimum.scaling, solution.transcription.problem
     scales = flat(sizes(scaling, solution.optimum.sides))
-    unravel = ravel_pytree(solution.optimum.sides)[1]
     objective = float(scaling.objective)
     result: list[Standing] = []
     for side, mask in enumerate(masks):
-        names = names_at(solution, side, unravel(jax.numpy.asarray(mask, float)))
+        names = names_at(solution, side, mask)
         own, way = flat(found.multipliers[side]), flat(found.slacks[side])
         for limit, place in zip(names, np.flatnonzero(mask), strict=True):
             scale = float(scales[place])
-            unit = problem.unit(limit.name) or problem.unit(limit.name.partition("[")[0])
             result.append(
                 Standing(
                     limit,
-                    unit,
+                    problem.unit_of_entry(limit.name),
                     multiplier=float(own[place]) * objective / scale,
                     slack=float(way[place]) * scale,
                     margin=float(max(own[place], way[place])),

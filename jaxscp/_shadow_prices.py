@@ -7,7 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from ._bounds import Bounds
-from ._problem import OptimalControlProblem
+from ._problem import OptimalControlProblem, entry_name
 from ._solution import Solution
 from ._types import Array, Float, Scalar
 
@@ -100,15 +100,14 @@ def shadow_prices(solution: Solution) -> ShadowPrices:
     for name, values in multipliers.path_constraints.items():
         whole = jnp.sum(values, axis=0) + jnp.sum(multipliers.path_between[name], axis=0)
         for index in range(whole.size):
-            entry = f"{name}[{index}]" if whole.size > 1 else name
-            add(entry, "margin", whole[index])
+            add(entry_name(name, index, whole.size), "margin", whole[index])
     times = solution.trajectory.times[1:]
     return ShadowPrices(tuple(prices), multipliers.dynamics, times)
 
 
 def _unit(problem: OptimalControlProblem, name: str) -> str:
     objective = problem.unit("objective") or "objective"
-    own = problem.unit(name) or problem.unit(name.partition("[")[0]) or "unit"
+    own = problem.unit_of_entry(name) or "unit"
     return f"{objective} / ({own})" if " " in own else f"{objective} / {own}"
 
 

@@ -65,3 +65,10 @@ def swing(angle=1.0, speed=1.0, torque=1.0, time=1.0, cost=1.0, ceiling=1.0, dat
             )
         },
     )
+
+
+def swing_at_its_limit():
+    """With a torque that is at its limit for a while."""
+    limit = jnp.full(1, 0.8)
+    ends = (-limit, limit)
+    return eqx.tree_at(lambda p: (p.control.lower, p.control.upper), swing(), ends)

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from swing import swing
+from swing import swing, swing_at_its_limit
 
 import jaxscp
 from jaxscp import Discretization, FirstOrderHold, textbook
@@ -62,10 +62,7 @@ def fields(solution):
 
 @pytest.fixture(scope="module")
 def problem():
-    """With a torque that is at its limit for a while."""
-    limit = jnp.full(1, 0.8)
-    ends = (-limit, limit)
-    return eqx.tree_at(lambda p: (p.control.lower, p.control.upper), swing(), ends)
+    return swing_at_its_limit()
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
-from swing import swing
+from swing import swing_at_its_limit
 
 import jaxscp
 from jaxscp import Discretization, FirstOrderHold, textbook
@@ -100,10 +100,7 @@ class TestMinimumTime:
 
 @pytest.fixture(scope="module")
 def swung():
-    """With a torque that is at its limit for a while."""
-    limit = jnp.full(1, 0.8)
-    ends = (-limit, limit)
-    problem = eqx.tree_at(lambda p: (p.control.lower, p.control.upper), swing(), ends)
+    problem = swing_at_its_limit()
     return problem, jaxscp.solve(problem, nodes=15)
 
 

@@ -1,0 +1,77 @@
+"""Measurements of missions over the number of nodes: command line, table and figure."""
+
+import argparse
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from .report import write_report
+
+FIGURES = Path(__file__).parent / "figures"
+MISSIONS = ("free-flight", "free-space-30MB-60dB")
+
+
+class Measured(NamedTuple):
+    """Rows of each mission, and where their figure is to be drawn."""
+
+    rows: dict[str, list[dict]]
+    figure: Path
+
+
+def measured(
+    name: str,
+    description: str,
+    nodes: Sequence[int],
+    headings: str,
+    measure: Callable[[str, int, int], dict],
+    line: Callable[[dict], str],
+) -> Measured:
+    """Measure what the command line asks for, and print a row at a time.
+
+    **Arguments:**
+
+    - `name`: of the figure. `description`: of the benchmark, its first line counts.
+    - `nodes`: numbers of nodes, if none are asked for.
+    - `headings`: of the table, between its outer bars. `line`: a row of it.
+    - `measure`: of a mission's name, a number of nodes and a number of repeats.
+    """
+    figure = FIGURES / f"{name}.png"
+    parser = argparse.ArgumentParser(description=description.partition("\n")[0])
+    parser.add_argument("--missions", nargs="*", default=list(MISSIONS))
+    parser.add_argument("--nodes", type=int, nargs="*", default=list(nodes))
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    parser.add_argument("--figure", type=Path, help="where to draw it", default=figure)
+    arguments = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    print(f"| {headings} |")
+    print("|" + "---|" * len(headings.split("|")))
+    rows: dict[str, list[dict]] = {mission: [] for mission in arguments.missions}
+    for count in arguments.nodes:
+        for mission, own in rows.items():
+            own.append(measure(mission, count, arguments.repeats))
+            print(line(own[-1]), flush=True)
+        if arguments.json:
+            write_report(arguments.json, missions=rows)
+    return Measured(rows, arguments.figure)
+
+
+def exponent(rows: list[dict], of: str) -> float:
+    """The power of the number of nodes that fits best."""
+    nodes, values = ([row[what] for row in rows] for what in ("nodes", of))
+    return float(np.polyfit(np.log(nodes), np.log(values), 1)[0])
+
+
+def finish(drawing: Figure, path: Path, legend: int) -> None:
+    """Add legends, of so many points, and grids; save and close the figure."""
+    for axes in drawing.axes:
+        axes.legend(fontsize=legend)
+        axes.grid(alpha=0.3)
+    path.parent.mkdir(exist_ok=True)
+    drawing.savefig(path, dpi=120)
+    plt.close(drawing)
