@@ -83,7 +83,9 @@ class Solved(eqx.Module):
 class ActiveSystem(eqx.Module):
     """The model's first-order conditions with some constraints active.
 
-    - `sides`: where a constraint rests: 1 on its upper limit, -1 on its lower one.
+    - `sides`: where a constraint rests: 1 on its upper limit, -1 on its lower one. In
+        between, with the share a, it is soft: its multiplier is a / (1 - a) of what is
+        missing.
     - `told`: 1 for variables that are forced to their limits.
     - `pull`: the squares that draw everything else.
     - `slope`: first derivatives of the cost beside the model's.
@@ -109,14 +111,10 @@ class ActiveSystem(eqx.Module):
         """With the limits that the variables and the integrals rest on."""
         if slope is None:
             slope = jax.tree.map(jnp.zeros_like, targets)
-        weight = jax.tree.map(lambda side: _FIRM * jnp.abs(side), sides)
-        told = jax.tree.map(jnp.abs, sides.variables)
+        weight = jax.tree.map(lambda side: _FIRM * _firmness(side), sides)
+        told = jax.tree.map(lambda side: jnp.floor(jnp.abs(side)), sides.variables)
         told = eqx.tree_at(lambda v: v.states, told, told.states.at[1:].set(0.0))
-        pulled = Variables(
-            weight.variables.states.at[0].set(0.0),
-            jnp.zeros_like(targets.controls),
-            jnp.zeros_like(targets.final_time),
-        )
+        pulled = jax.tree.map(lambda w, told: w * (1.0 - told), weight.variables, told)
         blank = Damping.of(model.residuals, pulled)
         pull = dataclasses.replace(
             blank,
@@ -159,7 +157,9 @@ class ActiveSystem(eqx.Module):
     def _left_at(self, done: _Pass) -> tuple[Program, Forced]:
         """What is left of every condition."""
         step = done.step
-        slope = jax.grad(self._lagrangian)(step, done.costates, done.pushes)
+        # Of what is soft the squares give back a part of the multiplier themselves.
+        pushes = jax.tree.map(jnp.multiply, self._firmnesses, done.pushes)
+        slope = jax.grad(self._lagrangian)(step, done.costates, pushes)
         tug = jax.grad(lambda step: self.pull.cost(self.model, step))(step)
         squares = self.damping.curvature(self.model).plus(self.pull.curvature(self.model))
         # The recursion's totals are those of the change: what the step gains already
@@ -197,11 +197,13 @@ class ActiveSystem(eqx.Module):
             price = self._per_total * y[-1, -1 - q : -1]
             more -= jnp.einsum("kqn,q->kn", growth.right_state[:, :q], price)
         step = jax.tree.map(jnp.add, done.step, change)
-        gap = self._gap(step)
-        weight = self.weight
-        pushes = jax.tree.map(lambda p, w, g: p + w * g, done.pushes, weight, gap)
-        pulled = jax.tree.map(lambda w, g: jnp.where(w > 0.0, g, 0.0), weight, gap)
-        return _Pass(step, done.costates + more, pushes, max_norm(pulled), done.count + 1)
+        weight, missing = self.weight, self._gap(step)
+        pushes = jax.tree.map(
+            lambda firm, p, w, missing: firm * p + w * missing,
+            *(self._firmnesses, done.pushes, weight, missing),
+        )
+        gap = jax.tree.map(_unexplained, self.sides, weight, pushes, missing)
+        return _Pass(step, done.costates + more, pushes, max_norm(gap), done.count + 1)
 
     def _solution(self, done: _Pass) -> tuple[SubproblemSolution, Scalar]:
         """With the multipliers of what is forced, and what is left of the gradient."""
@@ -243,11 +245,29 @@ class ActiveSystem(eqx.Module):
         total += jnp.vdot(pushes.integral, after.totals)
         beside = jax.tree.map(jnp.vdot, self.slope, step)
         total += sum(jax.tree.leaves(beside))
-        return total + jnp.vdot(pushes.variables.states, step.states)
+        of_limits = jax.tree.map(jnp.vdot, pushes.variables, step)
+        return total + sum(jax.tree.leaves(of_limits))
 
     def _peaks(self, after: Residuals) -> Array:
         # Peaks of what has no limit are infinitely low.
         return jnp.where(self.sides.between > 0.0, after.between, 0.0)
+
+    @property
+    def _firmnesses(self) -> PerLimit:
+        return jax.tree.map(_firmness, self.sides)
+
+
+def _firmness(side: Array) -> Array:
+    """Share of a push that stays: 1 where a constraint holds, 0 where there is none."""
+    share = jnp.abs(side)
+    return share / (share + _FIRM * (1.0 - share))
+
+
+def _unexplained(side: Array, weight: Array, push: Array, missing: Array) -> Array:
+    """What is missing beside that which softness allows."""
+    share = jnp.abs(side)
+    allowed = push * (1.0 - share) / jnp.where(share > 0.0, share, 1.0)
+    return jnp.where(weight > 0.0, missing - allowed, 0.0)
 
 
 def _forced(told: Variables, to_go: Variables, totals: int) -> Forced:

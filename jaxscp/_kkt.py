@@ -4,10 +4,15 @@ With the active constraints known they are the equations F(w; p) = 0 of Karush, 
 Tucker, in the variables and multipliers w and the parameters p: F is the gradient by w of
 
     J + sum over active constraints (multiplier x distance from the limit)
-      + 1/2 sum over the others (multiplier^2),
+      - 1/2 sum over the others (multiplier^2),
 
 and its Jacobian by w therefore symmetric. The function is the Lagrangian where
 multipliers of inactive constraints vanish.
+
+A constraint that is soft (`_smoothing`), active by the share a, joins both: along the
+solution's own F it obeys, with v for its multiplier as an unknown,
+
+    sqrt(a) distance - (1 - a) v = 0,  d multiplier = sqrt(a) dv.
 """
 
 import equinox as eqx
@@ -45,7 +50,8 @@ class Optimum(eqx.Module):
     """A point that meets the optimality conditions: numbers, nothing to differentiate.
 
     - `variables`: in physical units. `point`: with no step.
-    - `sides`: where each constraint rests: 1 on its upper limit, -1 on its lower one.
+    - `sides`: where each constraint rests: 1 on its upper limit, -1 on its lower one,
+        less where it is soft.
     - `objective`: in its own unit.
     - `polished`: whether the conditions hold well enough for derivatives.
     """
@@ -60,7 +66,9 @@ class Optimum(eqx.Module):
 
     @property
     def active(self) -> KKTPoint:
-        """1 for each equation that is a constraint's or the Lagrangian's, else 0."""
+        """1 for each equation that is a constraint's or the Lagrangian's, else 0; its
+        share where a constraint is soft.
+        """
         share: PerLimit = jax.tree.map(jnp.abs, self.sides)
         ones = jax.tree.map(jnp.ones_like, self.point)
         own = PerConstraint(
@@ -68,10 +76,16 @@ class Optimum(eqx.Module):
         )
         return KKTPoint(ones.step, own, share.variables)
 
+    def physical(self, change: KKTPoint) -> KKTPoint:
+        """A change of the unknowns as one of variables and multipliers."""
+        return jax.tree.map(lambda a, own: jnp.sqrt(a) * own, self.active, change)
+
 
 def lagrangian(transcription: Transcription, optimum: Optimum, at: KKTPoint) -> Scalar:
     """The Lagrangian of the active constraints, scaled."""
-    multipliers = _weighed(optimum, at)
+    multipliers = jax.tree.map(
+        lambda active, own: jnp.where(active > 0.0, own, 0.0), optimum.active, at
+    )
     objective, distances = _distances(transcription, optimum, at.step)
     products = jax.tree.map(
         jnp.vdot, (multipliers.multipliers, multipliers.limits), distances
@@ -80,14 +94,16 @@ def lagrangian(transcription: Transcription, optimum: Optimum, at: KKTPoint) -> 
 
 
 def conditions(transcription: Transcription, optimum: Optimum, at: KKTPoint) -> KKTPoint:
-    """What is left of the equations F at a point."""
+    """What is left of the equations F where the unknowns are those of a point."""
 
     def potential(at: KKTPoint) -> Scalar:
-        own = (at.multipliers, at.limits)
-        active = (optimum.active.multipliers, optimum.active.limits)
-        idle = jax.tree.map(lambda a, own: jnp.sum((1.0 - a) * own**2), active, own)
+        active, own = optimum.active, optimum.point
+        # The equations of the variables are all active.
+        idle = jax.tree.map(lambda a, own: jnp.sum((1.0 - a) * own**2), active, at)
+        change = optimum.physical(jax.tree.map(jnp.subtract, at, own))
+        there = jax.tree.map(jnp.add, own, change)
         squares = 0.5 * sum(jax.tree.leaves(idle))
-        return lagrangian(transcription, optimum, at) + squares
+        return lagrangian(transcription, optimum, there) - squares
 
     return jax.grad(potential)(at)
 
@@ -111,11 +127,6 @@ def slacks(
     residuals = _residuals(transcription, optimum, step)
     limits = step_limits(transcription, optimum.scaling, optimum.variables)
     return rooms(residuals, limits, step)
-
-
-def _weighed(optimum: Optimum, at: KKTPoint) -> KKTPoint:
-    """With the multipliers of active constraints only."""
-    return jax.tree.map(jnp.multiply, optimum.active, at)
 
 
 def _residuals(

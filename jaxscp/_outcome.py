@@ -17,10 +17,12 @@ from ._scaling import Scaling
 from ._sensitivity import optimal_objective, optimal_point, optimal_totals
 from ._solution import Multipliers, Solution, Statistics
 from ._state import SCPState
+from ._smoothing import softened
 from ._status import Status
 from ._subproblem import step_limits
 from ._transcription import Transcription, Variables
-from ._types import Array, Float
+from ._tree import constant
+from ._types import Array, Float, Scalar
 
 # Multipliers and gaps of which neither says whether a constraint is active.
 _NEGLIGIBLE = 1e-10
@@ -105,11 +107,16 @@ def _optimum(transcription: Transcription, state: SCPState, status: Status) -> O
 
 
 @eqx.filter_jit
-def differentiable(transcription: Transcription, solution: Solution) -> Solution:
+def differentiable(
+    transcription: Transcription, solution: Solution, smoothing: Scalar | None = None
+) -> Solution:
     """The solution as a function of the problem: objective, integrals, trajectory and
     multipliers move with it. All else is what it was.
     """
-    return moved(transcription, solution, optimal_point(transcription, solution.optimum))
+    optimum = solution.optimum
+    if smoothing is not None:
+        optimum = softened(*constant((transcription, optimum, smoothing)))
+    return moved(transcription, solution, optimal_point(transcription, optimum))
 
 
 def moved(transcription: Transcription, solution: Solution, point: KKTPoint) -> Solution:

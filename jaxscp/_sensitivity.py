@@ -72,7 +72,7 @@ def _optimal_point_jvp(primals, tangents):
     moved = jax.lax.custom_linear_solve(
         matrix, -flat, lambda _, right: solved(right), symmetric=True
     )
-    return point, _or_nan(optimum, unravel(moved))
+    return point, _or_nan(optimum, optimum.physical(unravel(moved)))
 
 
 @eqx.filter_custom_jvp
@@ -144,7 +144,9 @@ def kkt_solve(transcription: Transcription, optimum: Optimum, right: KKTPoint) -
     size = max_norm(right)
     unit = jnp.where(size > 0.0, size, 1.0)
     right = jax.tree.map(lambda leaf: leaf / unit, right)
-    system = _system(transcription, optimum, right)
+    root = jax.tree.map(jnp.sqrt, optimum.active)
+    targets = jax.tree.map(lambda root, r: r / _or_one(root), root, right)
+    system = _system(transcription, optimum, targets)
     nothing = jax.tree.map(jnp.zeros_like, optimum.sides)
     found = system.solved(nothing, jnp.asarray(_PRECISION))
     solution = found.solution
@@ -152,18 +154,24 @@ def kkt_solve(transcription: Transcription, optimum: Optimum, right: KKTPoint) -
     answer = KKTPoint(solution.step, solution.multipliers, of_limits)
     # Multipliers of what is not active answer for themselves.
     answer = jax.tree.map(
-        lambda active, yes, no: unit * jnp.where(active > 0.0, yes, no),
-        optimum.active,
-        answer,
-        right,
+        lambda root, yes, no: unit * jnp.where(root > 0.0, yes / _or_one(root), -no),
+        *(root, answer, right),
     )
     return Answer(answer, jnp.maximum(found.gap, found.left), found.convexity)
+
+
+def _or_one(root: Array) -> Array:
+    """To divide by."""
+    return jnp.where(root > 0.0, root, 1.0)
 
 
 def _system(
     transcription: Transcription, optimum: Optimum, right: KKTPoint
 ) -> ActiveSystem:
-    """K and a right-hand side, as a step that rests on active constraints."""
+    """K and a right-hand side, as a step that rests on active constraints.
+
+    The right-hand side has targets for the multipliers' rows.
+    """
     scaling, substeps, sides = optimum.scaling, optimum.substeps, optimum.sides
     variables, multipliers = optimum.variables, optimum.point.multipliers
     residuals, derivatives = transcription.linearize(variables, substeps)

@@ -17,11 +17,12 @@ from ._outcome import differentiable, outcome
 from ._problem import OptimalControlProblem
 from ._proximal import ProximalSCP
 from ._scp import AbstractSCP, run
+from ._smoothing import check_smoothing
 from ._solution import Solution, check_polished
 from ._trajectory import Trajectory, straight_line
 from ._transcription import Transcription
 from ._tree import constant, is_differentiated
-from ._types import Array, ArrayLike, is_concrete
+from ._types import Array, ArrayLike, Scalar, is_concrete
 from ._validation import check_guesses, check_precision, check_problem
 
 
@@ -40,6 +41,7 @@ def solve(
     *,
     nodes: int | ArrayLike = 50,
     discretization: Discretization = Discretization(),  # noqa: B008  (immutable)
+    smoothing: float | Array = 0.0,
     progress: Callable[[dict], None] | None = None,
     throw: bool = True,
 ) -> Solution:
@@ -56,7 +58,7 @@ def solve(
     depend on its guess, nor on the scales of `Bounds`, which steer the iteration only.
     Where a constraint is weakly active, its multiplier and its slack both zero, there are
     two one-sided derivatives, and one of them is returned: [`sensitivity_report`][] has
-    both.
+    both. With `smoothing` a mean of both is.
 
     **Main arguments:**
 
@@ -73,6 +75,14 @@ def solve(
     **Other arguments:**
 
     - `discretization`: hold, quadrature, free intervals and integration tolerance.
+    - `smoothing`: above zero, derivatives of trajectory, integrals and multipliers change
+        gradually where limits begin or cease to hold, instead of jumping. It is the
+        product of multiplier and slack, both scaled, that counts as none: limits with
+        multipliers or slacks below its root hold in part. Derivatives are biased by
+        about it where a limit is clear: what the limit holds gives way a little, and
+        follows a little before it holds; they depend on the scales of `Bounds`. The
+        solution is the same, and so are the objective's first derivatives, which are
+        continuous without.
     - `progress`: called after every iteration with a dictionary of its numbers: the
         fields of [`History`][], `iteration`, and `attempt`: which of the guesses it
         started from, counted from 0. Pass the same function each time: a new one
@@ -94,10 +104,12 @@ def solve(
     check_problem(numbers)
     if guess is None:
         guess = straight_line(numbers, nodes)
+    check_smoothing(smoothing)
     guesses = (guess,) if isinstance(guess, Trajectory) else tuple(guess)
     check_guesses(numbers, guesses)
     transcription = Transcription(problem, discretization, guesses[0].fractions)
-    solution = _best(method, transcription, constant(guesses), progress)
+    smooth = jnp.asarray(smoothing, float)
+    solution = _best(method, transcription, constant(guesses), smooth, progress)
     if is_concrete(solution.optimality):
         jax.block_until_ready(solution.optimality)
         elapsed = jnp.asarray(time.perf_counter() - begun)
@@ -121,6 +133,7 @@ def _best(
     method: AbstractSCP,
     transcription: Transcription,
     guesses: tuple[Trajectory, ...],
+    smoothing: Scalar,
     progress: Callable[[dict], None] | None,
 ) -> Solution:
     """The best of what the guesses lead to, all through one compiled program."""
@@ -128,9 +141,9 @@ def _best(
     def attempt(index, guess):
         index = jnp.asarray(index)
         if transcription.discretization.interval_ratio is None:
-            return _from(method, transcription, guess, index, progress)
+            return _from(method, transcription, guess, smoothing, index, progress)
         paced = lifted(transcription, guess)
-        solution = _from(method, *paced, index, progress)
+        solution = _from(method, *paced, smoothing, index, progress)
         return lowered(solution, transcription.problem)
 
     if len(guesses) == 1:
@@ -148,6 +161,7 @@ def _from(
     method: AbstractSCP,
     transcription: Transcription,
     guess: Trajectory,
+    smoothing: Scalar,
     attempt: Array,
     progress: Callable[[dict], None] | None,
 ) -> Solution:
@@ -156,7 +170,8 @@ def _from(
     solution = _run(method, numbers, guess, attempt, progress)
     if is_concrete(eqx.filter(transcription, eqx.is_array)):
         return solution
-    return differentiable(transcription, solution)
+    hard = is_concrete(smoothing) and not smoothing
+    return differentiable(transcription, solution, None if hard else smoothing)
 
 
 @eqx.filter_jit
