@@ -23,9 +23,11 @@ from ._transcription import Residuals, Variables
 from ._types import Array, Float, Scalar
 
 # Weight of the squares that pull, and how often what they lack is added: each time leaves
-# about a thousandth of the gap, more where a constraint hardly gives way.
+# about a thousandth of the gap, more where a constraint hardly gives way. Where it no
+# longer falls after a few, rounding is all that is left.
 _FIRM = 3e4
 _PASSES = 32
+_FEW = 4
 # Gaps below this share of the precision asked for are closed.
 _CLOSED = 0.1
 
@@ -56,13 +58,29 @@ class _Pass(eqx.Module):
     """How far the refinement of a step has come.
 
     - `pushes`: multipliers of what is pulled. `gap`: how far that is from its limits.
+        `falls`: whether the last pass has made it smaller.
     """
 
     step: Variables
     costates: Float[Array, "I n"]
     pushes: PerLimit
     gap: Scalar
+    falls: Array
     count: Array
+
+    @classmethod
+    def begun(
+        cls, step: Variables, costates: Float[Array, "I n"], pushes: PerLimit
+    ) -> "_Pass":
+        """Before the first one."""
+        gap, falls, count = jnp.asarray(jnp.inf), jnp.asarray(True), jnp.zeros((), int)
+        return cls(step, costates, pushes, gap, falls, count)
+
+    def unfinished(self, closed: Scalar) -> Array:
+        """Whether another pass is worth it; gaps below `closed` are closed."""
+        promising = (self.count < _FEW) | self.falls
+        more = (self.gap > closed) & (self.count < _PASSES) & promising
+        return (self.count < 2) | more
 
 
 class Solved(eqx.Module):
@@ -144,10 +162,10 @@ class ActiveSystem(eqx.Module):
             lambda weight, push: jnp.where(weight > 0.0, push, 0.0), self.weight, pushes
         )
         costates = jnp.zeros_like(self.model.residuals.defects)
-        begun = _Pass(still, costates, pushes, jnp.asarray(jnp.inf), jnp.zeros((), int))
+        begun = _Pass.begun(still, costates, pushes)
         factors, closed = factorize(*self._left_at(begun)), _CLOSED * precision
         done = jax.lax.while_loop(
-            lambda at: (at.count < 2) | ((at.count < _PASSES) & (at.gap > closed)),
+            lambda at: at.unfinished(closed),
             lambda at: self._refined(at, factors),
             begun,
         )
@@ -202,8 +220,11 @@ class ActiveSystem(eqx.Module):
             lambda firm, p, w, missing: firm * p + w * missing,
             *(self._firmnesses, done.pushes, weight, missing),
         )
-        gap = jax.tree.map(_unexplained, self.sides, weight, pushes, missing)
-        return _Pass(step, done.costates + more, pushes, max_norm(gap), done.count + 1)
+        gap = max_norm(
+            jax.tree.map(_unexplained, self.sides, weight, pushes, missing)
+        )
+        costates, falls = done.costates + more, gap < done.gap
+        return _Pass(step, costates, pushes, gap, falls, done.count + 1)
 
     def _solution(self, done: _Pass) -> tuple[SubproblemSolution, Scalar]:
         """With the multipliers of what is forced, and what is left of the gradient."""

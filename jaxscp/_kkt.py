@@ -95,17 +95,18 @@ def lagrangian(transcription: Transcription, optimum: Optimum, at: KKTPoint) -> 
 
 def conditions(transcription: Transcription, optimum: Optimum, at: KKTPoint) -> KKTPoint:
     """What is left of the equations F where the unknowns are those of a point."""
+    return jax.grad(lambda at: potential(transcription, optimum, at))(at)
 
-    def potential(at: KKTPoint) -> Scalar:
-        active, own = optimum.active, optimum.point
-        # The equations of the variables are all active.
-        idle = jax.tree.map(lambda a, own: jnp.sum((1.0 - a) * own**2), active, at)
-        change = optimum.physical(jax.tree.map(jnp.subtract, at, own))
-        there = jax.tree.map(jnp.add, own, change)
-        squares = 0.5 * sum(jax.tree.leaves(idle))
-        return lagrangian(transcription, optimum, there) - squares
 
-    return jax.grad(potential)(at)
+def potential(transcription: Transcription, optimum: Optimum, at: KKTPoint) -> Scalar:
+    """The function whose gradient is F."""
+    active, own = optimum.active, optimum.point
+    # The equations of the variables are all active.
+    idle = jax.tree.map(lambda a, own: jnp.sum((1.0 - a) * own**2), active, at)
+    change = optimum.physical(jax.tree.map(jnp.subtract, at, own))
+    there = jax.tree.map(jnp.add, own, change)
+    squares = 0.5 * sum(jax.tree.leaves(idle))
+    return lagrangian(transcription, optimum, there) - squares
 
 
 def objective(transcription: Transcription, optimum: Optimum, step: Variables) -> Scalar:
