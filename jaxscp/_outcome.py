@@ -15,9 +15,9 @@ from ._packed import Packed
 from ._per_constraint import PerConstraint
 from ._scaling import Scaling
 from ._sensitivity import optimal_objective, optimal_point, optimal_totals
+from ._smoothing import softened
 from ._solution import Multipliers, Solution, Statistics
 from ._state import SCPState
-from ._smoothing import softened
 from ._status import Status
 from ._subproblem import step_limits
 from ._transcription import Transcription, Variables
