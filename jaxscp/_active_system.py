@@ -220,9 +220,7 @@ class ActiveSystem(eqx.Module):
             lambda firm, p, w, missing: firm * p + w * missing,
             *(self._firmnesses, done.pushes, weight, missing),
         )
-        gap = max_norm(
-            jax.tree.map(_unexplained, self.sides, weight, pushes, missing)
-        )
+        gap = max_norm(jax.tree.map(_unexplained, self.sides, weight, pushes, missing))
         costates, falls = done.costates + more, gap < done.gap
         return _Pass(step, costates, pushes, gap, falls, done.count + 1)
 

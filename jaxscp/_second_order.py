@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from ._flow import Flow
+from ._nonlinear import compact_hessian, nonlinear_entries
 from ._peaks import derivatives, inner_peaks
 from ._step import Span, Step
 from ._types import Array, Float, Scalar
@@ -155,20 +156,29 @@ class _StepHessian(eqx.Module):
         )[1]
 
     def _of_stages(self, kappa, points, tangents) -> Float[Array, "v v"]:
-        def weighed(point, kappa):
-            return kappa @ self.flow.rates(*self.flow.split(point))
+        def rates(point):
+            return self.flow.rates(*self.flow.split(point))
 
-        curved = jax.vmap(jax.hessian(weighed))(points, jnp.stack(kappa))
-        return jnp.einsum("saw,sab,sbv->wv", tangents, curved, tangents)
+        entries = nonlinear_entries(rates, points.shape[1])
+
+        def curved(point, kappa):
+            return compact_hessian(lambda at: kappa @ rates(at), point, entries)
+
+        return _summed(jax.vmap(curved)(points, jnp.stack(kappa)), tangents[:, entries])
 
     def _of_peaks(self, points, tangents) -> Float[Array, "v v"]:
-        path = self.push[self.flow.watch.limits :]
+        pushes = self.push[self.flow.watch.limits :]
 
-        def weighed(point, entry, push):
-            return push * self.flow.problem.path(*self.flow.split(point))[entry]
+        def path(point):
+            return self.flow.problem.path(*self.flow.split(point))
 
-        curved = jax.vmap(jax.hessian(weighed))(points, jnp.arange(path.size), path)
-        return jnp.einsum("caw,cab,cbv->wv", tangents, curved, tangents)
+        entries = nonlinear_entries(path, points.shape[1])
+
+        def curved(point, entry, push):
+            return compact_hessian(lambda at: push * path(at)[entry], point, entries)
+
+        hessians = jax.vmap(curved)(points, jnp.arange(pushes.size), pushes)
+        return _summed(hessians, tangents[:, entries])
 
     def _of_moments(self, span, step, shares, tilts) -> Float[Array, "v v"]:
         slope, bend = derivatives(
@@ -177,3 +187,8 @@ class _StepHessian(eqx.Module):
         inner = inner_peaks(slope, bend)
         gain = jnp.where(inner, -self.push / jnp.where(inner, bend, 1.0), 0.0)
         return jnp.einsum("cw,c,cv->wv", tilts, gain, tilts)
+
+
+def _summed(hessians: Float[Array, "s e e"], tangents: Float[Array, "s e v"]) -> Array:
+    """Curvatures at several points, seen along what they move by."""
+    return jnp.einsum("sew,sef,sfv->wv", tangents, hessians, tangents)

@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parents[1] / "jaxscp"
 # by the empty one.
 FLOORS = (
     {"_types", "_records", "plot._style"},
-    {"_loop", "_tree"},
+    {"_loop", "_nonlinear", "_tree"},
     {"_status", "_bounds", "_hold", "_qp", "_packed"},
     {"_direction"},
     {"models._parameters", "models._smooth"},

@@ -75,9 +75,7 @@ def test_they_fade_from_one_to_the_other():
 
 
 def test_the_bias_is_proportional_to_the_smoothing():
-    errors = [
-        np.max(np.abs(slopes(0.2, tau)[1] - HELD)) for tau in (1e-5, 1e-6, 1e-7)
-    ]
+    errors = [np.max(np.abs(slopes(0.2, tau)[1] - HELD)) for tau in (1e-5, 1e-6, 1e-7)]
     np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 10.0, rtol=0.1)
 
 
