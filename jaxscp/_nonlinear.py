@@ -100,12 +100,19 @@ def _of_equation(equation, inputs: list[_Pattern], size: int) -> list[_Pattern]:
 
 
 def _constants(equation, inputs: list[_Pattern], size: int) -> list[_Pattern]:
-    """Results that do not depend on the argument, with their values if these are known."""
+    """What does not depend on the argument, with its values if these are known."""
     nothing = [np.zeros((*o.aval.shape, size), bool) for o in equation.outvars]
-    if equation.params.get("jaxpr") or any(each.value is None for each in inputs):
+    known = _values(inputs)
+    if equation.params.get("jaxpr") or known is None:
         return [_Pattern(none, none) for none in nothing]
-    values = _evaluated(equation, [each.value for each in inputs])
+    values = _evaluated(equation, known)
     return [_Pattern(n, n, v) for n, v in zip(nothing, values, strict=True)]
+
+
+def _values(patterns: list[_Pattern]) -> list[np.ndarray] | None:
+    """What constants are, if that is known of all."""
+    known = [each.value for each in patterns if each.value is not None]
+    return known if len(known) == len(patterns) else None
 
 
 def _evaluated(equation, values: list[np.ndarray]) -> list[np.ndarray]:
@@ -162,12 +169,12 @@ def _chosen(equation, inputs: list[_Pattern]) -> _Pattern:
 def _moved(equation, inputs: list[_Pattern]) -> _Pattern | None:
     """Entries of the first operand at other places: they are told where by numbers."""
     first, *places = inputs
-    if any(place.value is None for place in places):
+    known = _values(places)
+    if known is None:
         return None
     shape = first.enters.shape[:-1]
     numbers = np.arange(1, np.prod(shape, dtype=int) + 1).reshape(shape)
-    values = [numbers, *(place.value for place in places)]
-    (sources,) = _evaluated(equation, values)
+    (sources,) = _evaluated(equation, [numbers, *known])
     # What comes from beyond the array is a constant.
     flat = [np.vstack([np.zeros_like(e[:1]), e]) for e in _flat(first)]
     return _Pattern(*(each[np.maximum(sources, 0)] for each in flat))
@@ -189,7 +196,8 @@ def _joined(equation, inputs: list[_Pattern]) -> _Pattern:
 
 def _summed(equation, inputs: list[_Pattern]) -> _Pattern:
     axes = tuple(equation.params["axes"])
-    return _Pattern(inputs[0].enters.any(axis=axes), inputs[0].bends.any(axis=axes))
+    parts = (inputs[0].enters, inputs[0].bends)
+    return _Pattern(*(np.asarray(part.any(axis=axes)) for part in parts))
 
 
 def _contracted(equation, inputs: list[_Pattern]) -> _Pattern:
@@ -219,23 +227,19 @@ def _contracted(equation, inputs: list[_Pattern]) -> _Pattern:
     return _Pattern(enters, enters if both else spread(left.bends, right.bends))
 
 
+# fmt: off
+_LINEAR = ("abs", "add", "add_any", "convert_element_type", "copy", "max", "min", "neg",
+           "real", "sub")
+_BENT = ("acos", "asin", "atan", "atan2", "cbrt", "cos", "cosh", "erf", "exp", "exp2",
+         "expm1", "log", "log1p", "logistic", "pow", "rsqrt", "sin", "sinh", "sqrt",
+         "square", "tan", "tanh")
+_MOVED = ("broadcast_in_dim", "dynamic_slice", "expand_dims", "gather", "reshape", "rev",
+          "slice", "squeeze", "transpose")
+# fmt: on
 _RULES = {
-    **dict.fromkeys(
-        ("add", "sub", "neg", "add_any", "copy", "convert_element_type", "max", "min")
-        + ("abs", "real"),
-        _linear,
-    ),
-    **dict.fromkeys(
-        ("sin", "cos", "tan", "tanh", "exp", "exp2", "log", "log1p", "expm1", "sqrt")
-        + ("rsqrt", "square", "atan2", "asin", "acos", "atan", "pow", "logistic")
-        + ("sinh", "cosh", "cbrt", "erf"),
-        _bent,
-    ),
-    **dict.fromkeys(
-        ("reshape", "broadcast_in_dim", "transpose", "squeeze", "slice", "rev")
-        + ("expand_dims", "gather", "dynamic_slice"),
-        _moved,
-    ),
+    **dict.fromkeys(_LINEAR, _linear),
+    **dict.fromkeys(_BENT, _bent),
+    **dict.fromkeys(_MOVED, _moved),
     "mul": _product,
     "div": _quotient,
     "integer_pow": _power,

@@ -10,8 +10,8 @@ and as F is the gradient of the Lagrangian L, whose value is the objective J,
     dJ = L_w dw + L_p dp = L_p dp:
 
 the envelope theorem: no system is solved. Both rules take the solution they are about
-from `optimal_point`, so that differentiating them again is right, too. What needs K or F_p
-is kept inside the solver of a linear system, what L_p dp needs inside a checkpoint:
+from `optimal_point`, so that differentiating them again is right, too. What needs K or
+F_p is kept inside the solver of a linear system, what L_p dp needs inside a checkpoint:
 neither is evaluated for the sake of a field nobody differentiates.
 
 Fiacco, "Introduction to Sensitivity and Stability Analysis in Nonlinear Programming",
