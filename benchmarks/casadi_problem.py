@@ -9,6 +9,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from .second_model import dynamics, integrands
+
 
 class DiscreteProblem(NamedTuple):
     """minimize f(z) subject to bounds on z and on g(z).
@@ -25,54 +27,13 @@ class DiscreteProblem(NamedTuple):
     scale: np.ndarray
 
 
-def dynamics(vehicle: dict, x, u) -> list:
-    """Time derivative of the state."""
-    roll, pitch, yaw, p, q, r = (x[entry] for entry in range(6, 12))
-    jx, jy, jz = vehicle["inertia"]
-    lift, lean = u[0] / vehicle["mass"], ca.sin(pitch) * ca.cos(roll)
-    turn = (q * ca.sin(roll) + r * ca.cos(roll)) / ca.cos(pitch)
-    return [
-        *(x[3], x[4], x[5]),
-        lift * (ca.cos(yaw) * lean + ca.sin(yaw) * ca.sin(roll)),
-        lift * (ca.sin(yaw) * lean - ca.cos(yaw) * ca.sin(roll)),
-        lift * ca.cos(pitch) * ca.cos(roll) - vehicle["gravity"],
-        *(p + ca.sin(pitch) * turn, q * ca.cos(roll) - r * ca.sin(roll), turn),
-        (u[1] + (jy - jz) * q * r) / jx,
-        (u[2] + (jz - jx) * p * r) / jy,
-        (u[3] + (jx - jy) * p * q) / jz,
-    ]
-
-
-def data_rate(channel: dict, place):
-    """Expected rate [bit/s] at a position."""
-    away = place - np.asarray(channel["ground_station"])
-    level = ca.sqrt(away[0] ** 2 + away[1] ** 2 + 1e-6)
-    elevation = ca.atan2(away[2], level) * 180 / np.pi
-    threshold, steepness = channel["environment"]
-    sight = 1 / (1 + threshold * ca.exp(-steepness * (elevation - threshold)))
-    zeta = channel["reflection_attenuation"]
-    log_distance = ca.log(ca.sumsqr(away) + 1e-6) / 2
-    loss = ca.exp(-channel["path_loss_exponent"] * log_distance)
-    snr = channel["snr_constant"] * (zeta + (1 - zeta) * sight) * loss
-    return channel["bandwidth"] * ca.log1p(snr) / np.log(2)
-
-
-def integrands(mission: dict, x, u) -> list:
-    """Share of the data sent per second, if any are to be, and running cost."""
-    rates = [ca.sumsqr(u)]
-    if mission["data_required"] is not None:
-        share = data_rate(mission["channel"], x[:3]) / mission["data_required"]
-        rates.insert(0, share)
-    return rates
-
-
 def interval(mission: dict, substeps: int, gathers: bool) -> ca.Function:
     """State at the end of one interval, and growth of the integrals if it `gathers`."""
     x, u, seconds = ca.SX.sym("x", 12), ca.SX.sym("u", 4), ca.SX.sym("seconds")
 
     def rates(y):
-        sums = integrands(mission, y, u) if gathers else []
-        return ca.vertcat(*dynamics(mission["vehicle"], y, u), *sums)
+        sums = integrands(ca, mission, y, u) if gathers else []
+        return ca.vertcat(*dynamics(ca, mission["vehicle"], y, u), *sums)
 
     y, h = ca.vertcat(x, ca.SX.zeros(rates(x).numel() - 12)), seconds / substeps
     for _ in range(substeps):
@@ -86,7 +47,7 @@ def interval(mission: dict, substeps: int, gathers: bool) -> ca.Function:
 
 def nodal_integrands(mission: dict) -> ca.Function:
     x, u = ca.SX.sym("x", 12), ca.SX.sym("u", 4)
-    return ca.Function("integrands", [x, u], [ca.vertcat(*integrands(mission, x, u))])
+    return ca.Function("integrands", [x, u], [ca.vertcat(*integrands(ca, mission, x, u))])
 
 
 def discrete_problem(case: dict, *, scaled: bool) -> DiscreteProblem:
