@@ -91,6 +91,7 @@ def test_audit_says_what_it_found(passed, tmp_path, capsys, monkeypatch):
         assert (of, wrt) == ("final_time", ["vehicle"])
         assert build(mission).state_names[0] == "x"
         assert settings["guess"].nodes == 25
+        assert settings["tolerance"] == 1e-2
         progress(found)
         return Audit((found,))
 

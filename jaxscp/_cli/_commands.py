@@ -25,7 +25,7 @@ from .._trajectory import Trajectory
 from .._validation import check_guesses, check_problem
 from .._verification import Verification
 from ..missions import Mission
-from ._arguments import InputError
+from ._arguments import AUDITED, InputError
 from ._report import as_json, finite, progress_line, table
 from ._timing import CompileClock, process_age
 
@@ -95,6 +95,9 @@ def audit(arguments: argparse.Namespace) -> int:
         print(f"{mission.name}: {solution.message}", file=sys.stderr)
         return FAILURE
     print(HEADING)
+    tolerance = arguments.tolerance
+    if tolerance is None:
+        tolerance = AUDITED[arguments.of]
     audit = audit_gradient(
         mission,
         arguments.of,
@@ -102,6 +105,7 @@ def audit(arguments: argparse.Namespace) -> int:
         build=Mission.problem,
         guess=solution.trajectory,
         discretization=solution.discretization,
+        tolerance=tolerance,
         progress=lambda row: print(row, flush=True),
     )
     if arguments.json is not None:
