@@ -13,10 +13,10 @@ from jax.flatten_util import ravel_pytree
 
 from ._active_system import PerLimit
 from ._kkt import KKTPoint, Optimum, of_inequalities, slacks
+from ._kkt_system import kkt_solve
 from ._max_norm import max_norm
 from ._per_constraint import PerConstraint
 from ._regularity import fixed_limits
-from ._sensitivity import kkt_solve
 from ._transcription import Transcription, Variables
 from ._types import Array, Scalar
 

@@ -7,7 +7,7 @@ from jax.flatten_util import ravel_pytree
 
 from ._active_system import PerLimit
 from ._kkt import KKTPoint, Optimum, conditions, of_inequalities, slacks
-from ._sensitivity import kkt_solve
+from ._kkt_system import kkt_solve
 from ._transcription import Transcription, Variables
 from ._types import Scalar
 

@@ -10,7 +10,7 @@ from jax.flatten_util import ravel_pytree
 import jaxscp
 from jaxscp import Discretization, FirstOrderHold, textbook
 from jaxscp._kkt import KKTPoint, conditions
-from jaxscp._sensitivity import kkt_solve
+from jaxscp._kkt_system import kkt_solve
 from jaxscp._smoothing import softened
 
 LINEAR = Discretization(hold=FirstOrderHold())
