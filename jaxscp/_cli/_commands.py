@@ -30,9 +30,6 @@ from ._report import as_json, finite, progress_line, table
 from ._timing import CompileClock, process_age
 
 SUCCESS, FAILURE = 0, 1
-# Of the solves that an audit compares: what the default leaves open is as much as a small
-# step changes the flight time by.
-AUDIT_RESIDUAL = 1e-10
 
 
 def missions(arguments: argparse.Namespace) -> int:
@@ -107,7 +104,6 @@ def audit(arguments: argparse.Namespace) -> int:
         wrt,
         build=Mission.problem,
         guess=solution.trajectory,
-        method=ProximalSCP(tolerance=AUDIT_RESIDUAL),
         discretization=solution.discretization,
         tolerance=tolerance,
         progress=lambda row: print(row, flush=True),
