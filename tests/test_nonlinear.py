@@ -79,7 +79,7 @@ def programs(draw):
     return program
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(programs())
 def test_no_curvature_is_missed(program):
     x = jnp.array([0.3, -0.7, 1.1])
