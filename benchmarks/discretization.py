@@ -156,8 +156,8 @@ def figure(rows: list[dict], path: Path) -> None:
         precision.loglog([1e3 * row["seconds"] for row in middle], errors, **look)
         over = sorted((r["nodes"], r["seconds"]) for r in own if r["substeps"] == 4)
         growth.loglog([n for n, _ in over], [1e3 * s for _, s in over], **look)
-    precision.set(xlabel="time [ms]", ylabel="largest relative error", title="N = 100")
-    growth.set(xlabel="nodes N", ylabel="time [ms]", title="four substeps")
+    precision.set(xlabel="time [ms], 100 nodes", ylabel="largest relative error")
+    growth.set(xlabel="nodes N, four substeps", ylabel="time [ms]")
     finish(drawing, path, legend=7)
 
 

@@ -70,7 +70,8 @@ def exponent(rows: list[dict], of: str) -> float:
 def finish(drawing: Figure, path: Path, legend: int) -> None:
     """Add legends, of so many points, and grids; save and close the figure."""
     for axes in drawing.axes:
-        axes.legend(fontsize=legend)
+        place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0)}
+        axes.legend(fontsize=legend, ncols=2, frameon=False, **place)
         axes.grid(alpha=0.3)
     path.parent.mkdir(exist_ok=True)
     drawing.savefig(path, dpi=120)
