@@ -118,8 +118,8 @@ def _values(patterns: list[_Pattern]) -> list[np.ndarray] | None:
 def _evaluated(equation, values: list[np.ndarray]) -> list[np.ndarray]:
     with jax.ensure_compile_time_eval():
         found = equation.primitive.bind(*map(jnp.asarray, values), **equation.params)
-    several = equation.primitive.multiple_results
-    return [np.asarray(each) for each in (found if several else [found])]
+        several = equation.primitive.multiple_results
+        return [np.asarray(each) for each in (found if several else [found])]
 
 
 def _linear(_, inputs: list[_Pattern]) -> _Pattern:
@@ -207,7 +207,7 @@ def _contracted(equation, inputs: list[_Pattern]) -> _Pattern:
         counts = [one.astype(float), other.astype(float)]
         with jax.ensure_compile_time_eval():
             found = equation.primitive.bind(*map(jnp.asarray, counts), **equation.params)
-        return np.asarray(found > 0)
+            return np.asarray(found > 0)
 
     left, right = inputs
     ones = [np.ones(each.enters.shape[:-1]) for each in inputs]

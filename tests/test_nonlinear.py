@@ -35,6 +35,19 @@ def test_entries_are_found(name):
     assert nonlinear_entries(function, 4).tolist() == expected
 
 
+def test_programs_are_read_while_others_are_traced():
+    """As inside of a jitted solve, whose own operations are traced."""
+    found = []
+
+    def traced(x):
+        for name in EXACT:
+            found.append(nonlinear_entries(EXACT[name][0], 4).tolist())
+        return jax.lax.fori_loop(0, 2, lambda _, x: x + len(found), x)
+
+    jax.jit(traced)(1.0)
+    assert found == [expected for _, expected in EXACT.values()]
+
+
 def test_what_is_unknown_counts_as_nonlinear():
     def looped(x):
         return jax.lax.fori_loop(0, 3, lambda _, total: total + x[1], x[0])
