@@ -9,7 +9,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from .second_model import dynamics, integrands
+from .second_model import dynamics, integrands, runge_kutta
 
 
 class DiscreteProblem(NamedTuple):
@@ -35,13 +35,8 @@ def interval(mission: dict, substeps: int, gathers: bool) -> ca.Function:
         sums = integrands(ca, mission, y, u) if gathers else []
         return ca.vertcat(*dynamics(ca, mission["vehicle"], y, u), *sums)
 
-    y, h = ca.vertcat(x, ca.SX.zeros(rates(x).numel() - 12)), seconds / substeps
-    for _ in range(substeps):
-        k1 = rates(y)
-        k2 = rates(y + h / 2 * k1)
-        k3 = rates(y + h / 2 * k2)
-        k4 = rates(y + h * k3)
-        y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    start = ca.vertcat(x, ca.SX.zeros(rates(x).numel() - 12))
+    y = runge_kutta(rates, start, seconds, substeps)
     return ca.Function("interval", [x, u, seconds], [y[:12], y[12:]])
 
 

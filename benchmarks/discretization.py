@@ -8,9 +8,6 @@ DOP853 at 1e-13 beside its time.
 
 import argparse
 import json
-import statistics
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import jax
@@ -22,12 +19,11 @@ from jaxscp import missions
 from .discretizers import DISCRETIZERS, Case, Prepared, jaxscp, reference
 from .over_nodes import FIGURES, finish
 from .report import write_report
+from .timing import median_seconds
 
 NODES = (25, 100, 1000, 10_000)
 SUBSTEPS = (1, 2, 4, 8, 16)
 MIDDLE = (100, 4)
-# Seconds that the calls of one measurement may take, and most of these calls.
-PATIENCE, CALLS = 3.0, 200
 
 
 def case_of(name: str, nodes: int, gathers: bool) -> Case:
@@ -41,16 +37,6 @@ def case_of(name: str, nodes: int, gathers: bool) -> Case:
     final_time = float(guess.final_time)
     plain = json.loads(mission.to_json())
     return Case(mission.problem(), plain, gathers, states, controls, final_time)
-
-
-def timed(call: Callable[[], object]) -> float:
-    """Median seconds of many calls; of few, or one, where these last longer."""
-    seconds: list[float] = []
-    while not seconds or (sum(seconds) < PATIENCE and len(seconds) < CALLS):
-        begun = time.perf_counter()
-        jax.block_until_ready(call())
-        seconds.append(time.perf_counter() - begun)
-    return statistics.median(seconds)
 
 
 def error(prepared: Prepared, truth: tuple[np.ndarray, np.ndarray]) -> float:
@@ -69,10 +55,10 @@ def measure(name: str, case: Case, substeps: int, truth) -> dict:
     wrong = error(prepared, truth) if truth is not None else None
     return {
         "discretizer": name,
-        "mission": "with integrals" if case.gathers else "without",
+        "integrals": "with" if case.gathers else "without",
         "nodes": case.intervals + 1,
         "substeps": substeps,
-        "seconds": timed(prepared.call),
+        "seconds": median_seconds(prepared.call),
         "error": wrong,
         "compile_seconds": prepared.seconds,
     }
@@ -105,7 +91,7 @@ def rows_of(name: str, gathers: bool, slow: float) -> list[dict]:
 def line(row: dict) -> str:
     """A row of the table, in Markdown."""
     wrong = "" if row["error"] is None else f"{row['error']:.0e}"
-    cells = [row["mission"], row["discretizer"], row["nodes"], row["substeps"]]
+    cells = [row["integrals"], row["discretizer"], row["nodes"], row["substeps"]]
     cells += [f"{1e3 * row['seconds']:.3f}", wrong, f"{row['compile_seconds']:.1f}"]
     return f"| {' | '.join(map(str, cells))} |"
 
@@ -114,11 +100,12 @@ def ratios(rows: list[dict]) -> list[str]:
     """How much longer the others take at the middle."""
     nodes, substeps = MIDDLE
     found = []
-    for which in dict.fromkeys(row["mission"] for row in rows):
+    for which in dict.fromkeys(row["integrals"] for row in rows):
         middle = [
             row
             for row in rows
-            if (row["mission"], row["nodes"], row["substeps"]) == (which, nodes, substeps)
+            if (row["integrals"], row["nodes"], row["substeps"])
+            == (which, nodes, substeps)
         ]
         own = next(row["seconds"] for row in middle if row["discretizer"] == "jaxscp")
         found += [
@@ -138,9 +125,8 @@ def batches(name: str) -> list[dict]:
     nodes, substeps = MIDDLE
     case, rows = case_of(name, nodes, True), []
     for count in (1, 10, 100, 1000, 10_000):
-        many = case._replace(states=np.broadcast_to(case.states, (count, nodes, 12)))
-        prepared = jaxscp(many, substeps)
-        rows.append({"batch": count, "seconds": timed(prepared.call)})
+        prepared = jaxscp(case, substeps, batch=count)
+        rows.append({"batch": count, "seconds": median_seconds(prepared.call)})
         print(f"batch of {count}: {1e3 * rows[-1]['seconds']:.3f} ms")
     return rows
 
@@ -149,7 +135,9 @@ def figure(rows: list[dict], path: Path) -> None:
     """Error against time, and time against nodes."""
     drawing, (precision, growth) = plt.subplots(1, 2, figsize=(11, 4.5), layout="tight")
     for color, name in enumerate(DISCRETIZERS):
-        own = [r for r in rows if r["discretizer"] == name and r["mission"] == "without"]
+        own = [
+            r for r in rows if r["discretizer"] == name and r["integrals"] == "without"
+        ]
         middle = [row for row in own if row["nodes"] == MIDDLE[0]]
         look = {"color": f"C{color}", "marker": "o", "label": name}
         errors = [row["error"] for row in middle]

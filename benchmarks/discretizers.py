@@ -26,7 +26,7 @@ from jaxscp import Discretization, OptimalControlProblem, Quadrature
 from jaxscp._flow import Flow
 from jaxscp._intervals import linearize
 
-from .second_model import dynamics, integrands
+from .second_model import dynamics, integrands, runge_kutta
 
 _CONTROLS, _COLUMNS = 4, 17
 # Of the complex step, whose square vanishes.
@@ -78,7 +78,8 @@ class Prepared(NamedTuple):
     seconds: float
 
 
-def jaxscp(case: Case, substeps: int) -> Prepared:
+def jaxscp(case: Case, substeps: int, batch: int | None = None) -> Prepared:
+    """Of one trajectory, or of a batch of such, all alike: that is only to be timed."""
     rule = Quadrature.FLOW if case.gathers else Quadrature.TRAPEZOID
     fractions = jnp.linspace(0.0, 1.0, len(case.states))
     grid = (fractions[:-1], jnp.diff(fractions))
@@ -105,7 +106,12 @@ def jaxscp(case: Case, substeps: int) -> Prepared:
         # The others count the data in shares of those required.
         return block.at[:, 0].divide(case.mission["data_required"])
 
-    return _compiled(discretized, case, arranged, jnp.asarray(substeps))
+    if batch is None:
+        return _compiled(discretized, case, arranged, jnp.asarray(substeps))
+
+    together = jax.vmap(discretized, in_axes=(0, None, None, None))
+    many = case._replace(states=np.tile(case.states, (batch, 1, 1)))
+    return _compiled(together, many, arranged, jnp.asarray(substeps))
 
 
 def with_diffrax(case: Case, substeps: int) -> Prepared:
@@ -166,14 +172,7 @@ def numpy_loop(case: Case, substeps: int) -> Prepared:
 
 def _interval(case: Case, index: int, substeps: int) -> np.ndarray:
     y, u, seconds = _columns(case, index)
-    h = seconds / substeps
-    for _ in range(substeps):
-        k1 = np.array(case.rates(np, y, u))
-        k2 = np.array(case.rates(np, y + h / 2 * k1, u))
-        k3 = np.array(case.rates(np, y + h / 2 * k2, u))
-        k4 = np.array(case.rates(np, y + h * k3, u))
-        y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    return y
+    return runge_kutta(lambda y: np.array(case.rates(np, y, u)), y, seconds, substeps)
 
 
 def _columns(case: Case, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -258,20 +257,10 @@ def casadi_compiled(case: Case, substeps: int) -> Prepared:
 
 def _casadi(case: Case, substeps: int) -> ca.Function:
     y, u, T = ca.SX.sym("y", case.size), ca.SX.sym("u", _CONTROLS), ca.SX.sym("T")
-    rates = functools.partial(_vector, case)
-    h, end = T / case.intervals / substeps, y
-    for _ in range(substeps):
-        k1 = rates(end, u)
-        k2 = rates(end + h / 2 * k1, u)
-        k3 = rates(end + h / 2 * k2, u)
-        k4 = rates(end + h * k3, u)
-        end = end + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    seconds = T / case.intervals
+    end = runge_kutta(lambda y: ca.vertcat(*case.rates(ca, y, u)), y, seconds, substeps)
     by = ca.densify(ca.jacobian(end, ca.vertcat(y[:12], u, T)))
     return ca.Function("flow", [y, u, T], [end, by]).map(case.intervals)
-
-
-def _vector(case: Case, y: ca.SX, u: ca.SX) -> ca.SX:
-    return ca.vertcat(*case.rates(ca, y, u))
 
 
 def _buffered(case: Case, function: ca.Function, seconds: float) -> Prepared:

@@ -3,6 +3,7 @@ CasADi's symbols, NumPy's numbers, complex ones too, or JAX's arrays.
 """
 
 import math
+from collections.abc import Callable
 
 
 def dynamics(module, vehicle: dict, x, u) -> list:
@@ -45,3 +46,15 @@ def integrands(module, mission: dict, x, u) -> list:
         share = data_rate(module, mission["channel"], x) / mission["data_required"]
         rates.insert(0, share)
     return rates
+
+
+def runge_kutta(rates: Callable, y, seconds, steps: int):
+    """The end of so many classical steps of equal length."""
+    h = seconds / steps
+    for _ in range(steps):
+        k1 = rates(y)
+        k2 = rates(y + h / 2 * k1)
+        k3 = rates(y + h / 2 * k2)
+        k4 = rates(y + h * k3)
+        y = y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return y

@@ -76,9 +76,10 @@ class Optimum(eqx.Module):
         )
         return KKTPoint(ones.step, own, share.variables)
 
-    def physical(self, change: KKTPoint) -> KKTPoint:
-        """A change of the unknowns as one of variables and multipliers."""
-        return jax.tree.map(lambda a, own: jnp.sqrt(a) * own, self.active, change)
+    @property
+    def roots(self) -> KKTPoint:
+        """What variables and multipliers change by with the unknowns."""
+        return jax.tree.map(jnp.sqrt, self.active)
 
 
 def lagrangian(transcription: Transcription, optimum: Optimum, at: KKTPoint) -> Scalar:
@@ -103,8 +104,9 @@ def potential(transcription: Transcription, optimum: Optimum, at: KKTPoint) -> S
     active, own = optimum.active, optimum.point
     # The equations of the variables are all active.
     idle = jax.tree.map(lambda a, own: jnp.sum((1.0 - a) * own**2), active, at)
-    change = optimum.physical(jax.tree.map(jnp.subtract, at, own))
-    there = jax.tree.map(jnp.add, own, change)
+    there = jax.tree.map(
+        lambda root, own, at: own + root * (at - own), optimum.roots, own, at
+    )
     squares = 0.5 * sum(jax.tree.leaves(idle))
     return lagrangian(transcription, optimum, there) - squares
 

@@ -37,8 +37,8 @@ def kkt_solve(transcription: Transcription, optimum: Optimum, right: KKTPoint) -
     size = max_norm(right)
     unit = jnp.where(size > 0.0, size, 1.0)
     right = jax.tree.map(lambda leaf: leaf / unit, right)
-    root = jax.tree.map(jnp.sqrt, optimum.active)
-    targets = jax.tree.map(lambda root, r: r / _or_one(root), root, right)
+    roots = optimum.roots
+    targets = jax.tree.map(lambda root, r: r / _or_one(root), roots, right)
     system = _system(transcription, optimum, targets)
     nothing = jax.tree.map(jnp.zeros_like, optimum.sides)
     found = system.solved(nothing, jnp.asarray(_PRECISION))
@@ -48,7 +48,7 @@ def kkt_solve(transcription: Transcription, optimum: Optimum, right: KKTPoint) -
     # Multipliers of what is not active answer for themselves.
     answer = jax.tree.map(
         lambda root, yes, no: unit * jnp.where(root > 0.0, yes / _or_one(root), -no),
-        *(root, answer, right),
+        *(roots, answer, right),
     )
     return Answer(answer, jnp.maximum(found.gap, found.left), found.convexity)
 

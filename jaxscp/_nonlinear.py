@@ -155,15 +155,7 @@ def _power(equation, inputs: list[_Pattern]) -> _Pattern:
 
 def _chosen(equation, inputs: list[_Pattern]) -> _Pattern:
     """Derivatives of `select_n` are those of the case that is chosen."""
-    shape = inputs[1].enters.shape
-    cases = [
-        each._replace(
-            enters=np.broadcast_to(each.enters, shape),
-            bends=np.broadcast_to(each.bends, shape),
-        )
-        for each in inputs[1:]
-    ]
-    return _linear(equation, cases)
+    return _linear(equation, inputs[1:])
 
 
 def _moved(equation, inputs: list[_Pattern]) -> _Pattern | None:
@@ -174,10 +166,27 @@ def _moved(equation, inputs: list[_Pattern]) -> _Pattern | None:
         return None
     shape = first.enters.shape[:-1]
     numbers = np.arange(1, np.prod(shape, dtype=int) + 1).reshape(shape)
-    (sources,) = _evaluated(equation, [numbers, *known])
+    move = _MOVES.get(equation.primitive.name)
+    if move is None:
+        (sources,) = _evaluated(equation, [numbers, *known])
+    else:
+        sources = move(numbers, equation.outvars[0].aval.shape, equation.params)
     # What comes from beyond the array is a constant.
     flat = [np.vstack([np.zeros_like(e[:1]), e]) for e in _flat(first)]
     return _Pattern(*(each[np.maximum(sources, 0)] for each in flat))
+
+
+def _sliced(numbers: np.ndarray, shape, params: dict) -> np.ndarray:
+    starts, ends = params["start_indices"], params["limit_indices"]
+    strides = params["strides"] or (1,) * len(starts)
+    return numbers[tuple(map(slice, starts, ends, strides))]
+
+
+def _broadcast(numbers: np.ndarray, shape, params: dict) -> np.ndarray:
+    own = [1] * len(shape)
+    for size, axis in zip(numbers.shape, params["broadcast_dimensions"], strict=True):
+        own[axis] = size
+    return np.broadcast_to(numbers.reshape(own), shape)
 
 
 def _flat(pattern: _Pattern) -> tuple[np.ndarray, np.ndarray]:
@@ -233,13 +242,22 @@ _LINEAR = ("abs", "add", "add_any", "convert_element_type", "copy", "max", "min"
 _BENT = ("acos", "asin", "atan", "atan2", "cbrt", "cos", "cosh", "erf", "exp", "exp2",
          "expm1", "log", "log1p", "logistic", "pow", "rsqrt", "sin", "sinh", "sqrt",
          "square", "tan", "tanh")
-_MOVED = ("broadcast_in_dim", "dynamic_slice", "expand_dims", "gather", "reshape", "rev",
-          "slice", "squeeze", "transpose")
 # fmt: on
+# By NumPy: JAX would compile a program for each of them.
+_MOVES: dict[str, Callable] = {
+    **dict.fromkeys(
+        ("expand_dims", "reshape", "squeeze"),
+        lambda numbers, shape, _: numbers.reshape(shape),
+    ),
+    "broadcast_in_dim": _broadcast,
+    "rev": lambda numbers, _, params: np.flip(numbers, params["dimensions"]),
+    "slice": _sliced,
+    "transpose": lambda numbers, _, params: numbers.transpose(params["permutation"]),
+}
 _RULES = {
     **dict.fromkeys(_LINEAR, _linear),
     **dict.fromkeys(_BENT, _bent),
-    **dict.fromkeys(_MOVED, _moved),
+    **dict.fromkeys((*_MOVES, "dynamic_slice", "gather"), _moved),
     "mul": _product,
     "div": _quotient,
     "integer_pow": _power,

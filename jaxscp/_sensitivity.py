@@ -80,7 +80,8 @@ def _optimal_point_jvp(primals, tangents):
 
     right = jnp.concatenate([jnp.zeros_like(unknowns), parameters])
     both = jax.lax.custom_linear_solve(matrix, right, forward, backward)
-    return point, _or_nan(optimum, optimum.physical(unravel(split(both)[0])))
+    change = jax.tree.map(jnp.multiply, optimum.roots, unravel(split(both)[0]))
+    return point, _or_nan(optimum, change)
 
 
 class _Conditions(eqx.Module):

@@ -62,5 +62,7 @@ def _share(multiplier: Array, slack: Array, tau: Scalar) -> Array:
     lead = multiplier - jnp.maximum(slack, 0.0)
     limited = jnp.isfinite(lead)
     lead = jnp.where(limited, lead, 0.0)
-    share = 0.5 * (1.0 + lead / jnp.sqrt(lead**2 + 4.0 * tau))
+    size = jnp.sqrt(lead**2 + 4.0 * tau)
+    # Nothing: a weakly active limit, not smoothed.
+    share = 0.5 * (1.0 + lead / jnp.where(size > 0.0, size, 1.0))
     return jnp.where(limited, share, 0.0)

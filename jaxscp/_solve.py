@@ -108,8 +108,10 @@ def solve(
     guesses = (guess,) if isinstance(guess, Trajectory) else tuple(guess)
     check_guesses(numbers, guesses)
     transcription = Transcription(problem, discretization, guesses[0].fractions)
-    smooth = jnp.asarray(smoothing, float)
-    solution = _best(method, transcription, constant(guesses), smooth, progress)
+    none = is_concrete(smoothing) and not smoothing
+    # Decided here: an array made while others are traced has no value to ask for.
+    tau = None if none else jnp.asarray(smoothing, float)
+    solution = _best(method, transcription, constant(guesses), tau, progress)
     if is_concrete(solution.optimality):
         jax.block_until_ready(solution.optimality)
         elapsed = jnp.asarray(time.perf_counter() - begun)
@@ -133,7 +135,7 @@ def _best(
     method: AbstractSCP,
     transcription: Transcription,
     guesses: tuple[Trajectory, ...],
-    smoothing: Scalar,
+    smoothing: Scalar | None,
     progress: Callable[[dict], None] | None,
 ) -> Solution:
     """The best of what the guesses lead to, all through one compiled program."""
@@ -161,7 +163,7 @@ def _from(
     method: AbstractSCP,
     transcription: Transcription,
     guess: Trajectory,
-    smoothing: Scalar,
+    smoothing: Scalar | None,
     attempt: Array,
     progress: Callable[[dict], None] | None,
 ) -> Solution:
@@ -170,8 +172,7 @@ def _from(
     solution = _run(method, numbers, guess, attempt, progress)
     if is_concrete(eqx.filter(transcription, eqx.is_array)):
         return solution
-    hard = is_concrete(smoothing) and not smoothing
-    return differentiable(transcription, solution, None if hard else smoothing)
+    return differentiable(transcription, solution, smoothing)
 
 
 @eqx.filter_jit

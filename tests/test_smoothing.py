@@ -53,6 +53,11 @@ def test_sharp_derivatives_jump():
     np.testing.assert_allclose(slopes(KINK + 1e-6, 0.0)[1], FREE, atol=1e-6)
 
 
+def test_a_smoothing_that_fades_to_nothing_is_finite():
+    """Where a limit is weakly active, and the compiled program is told to smooth by 0."""
+    assert np.isfinite(slopes(KINK, 0.0)[1]).all()
+
+
 def test_smoothed_derivatives_are_between_and_do_not_jump():
     below, at, above = (
         slopes(limit, 1e-6)[1] for limit in (KINK - 1e-6, KINK, KINK + 1e-6)
