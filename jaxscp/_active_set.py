@@ -25,9 +25,11 @@ from ._types import Array, Scalar
 # Active sets tried in all, and with one weight of the metric.
 _ATTEMPTS = 24
 _TRIES = 6
-# The next weight where one was too light, and how close to such a one the best may be.
+# The next weight where one was too light, and how close to such a one the best may be, if
+# its step is not long enough: the share of the length allowed that is.
 _HEAVIER = 4.0
 _CLOSE = 1.6
+_ENOUGH = 0.7
 # A gradient this large that ought to vanish: the recursion broke down.
 _SOUND = 1e-9
 # Of the length allowed.
@@ -35,7 +37,8 @@ _OVERLONG = 1.2
 
 
 class NewtonStep(eqx.Module):
-    """What `active_set_step` found, if its solution says that it is solved.
+    """What `active_set_step` found, if its solution says that it is solved, or what it
+    starts from.
 
     - `weight`: of the metric, at least that asked for. `length`: of the step.
     """
@@ -50,6 +53,14 @@ class NewtonStep(eqx.Module):
         unsolved = jnp.zeros_like(like.effort.solved)
         nothing = eqx.tree_at(lambda s: s.effort.solved, like, unsolved)
         return cls(nothing, weight, jnp.zeros(()))
+
+    @classmethod
+    def begun(cls, last: SubproblemSolution, weight: Scalar) -> "NewtonStep":
+        """Where the search for a step starts: the multipliers of the one before."""
+        still = jax.tree.map(jnp.zeros_like, last.step)
+        solved = jnp.ones_like(last.effort.solved)
+        start = eqx.tree_at(lambda s: (s.step, s.effort.solved), last, (still, solved))
+        return cls(start, weight, jnp.zeros(()))
 
     @property
     def found(self) -> Array:
@@ -75,10 +86,9 @@ def active_set_step(
     model: Model,
     metric: Damping,
     limits: Limits,
-    last: SubproblemSolution,
+    start: NewtonStep,
     precision: Scalar,
     *,
-    weight: Scalar,
     longest: Scalar,
     heaviest: Scalar,
     slack: float,
@@ -87,9 +97,10 @@ def active_set_step(
 
     **Arguments:**
 
-    - `metric`: of the trust region. `weight`: of the metric, to start from: heavier ones
-        are tried where the model is not convex along the active constraints, or where
-        the step is longer than `longest`.
+    - `metric`: of the trust region.
+    - `start`: a step near the one sought, with its multipliers, and the weight of the
+        metric: heavier ones are tried where the model is not convex along the active
+        constraints, or where the step is longer than `longest`.
     - `precision`: violations and multipliers of the wrong sign that do not matter: which
         of several limits that say nearly the same are active is then left open.
     - `heaviest`: weight that is worth trying where the active constraints are not found:
@@ -97,11 +108,13 @@ def active_set_step(
     - `slack`: gap that may remain: limits that say nearly the same, as those at and next
         to a node, contradict each other a little.
     """
-    still = jax.tree.map(jnp.zeros_like, last.step)
-    first = active_sides(model.residuals, limits, last, still, precision)
+    last = start.solution
+    there = model.linear(last.step)
+    first = active_sides(there, limits, last, last.step, precision)
 
     def unfinished(at: _Attempt) -> Array:
         rough = (at.too_light > 0.0) & (at.best.weight > _CLOSE * at.too_light)
+        rough &= at.best.length < _ENOUGH * longest
         return (at.count < _ATTEMPTS) & (~at.best.found | rough)
 
     def again(at: _Attempt) -> _Attempt:
@@ -136,8 +149,8 @@ def active_set_step(
         )
 
     none = jnp.zeros((), int)
-    nothing = NewtonStep.none(last, weight)
-    begun = _Attempt(first, weight, jnp.zeros(()), nothing, none, none)
+    nothing = NewtonStep.none(last, start.weight)
+    begun = _Attempt(first, start.weight, jnp.zeros(()), nothing, none, none)
     return jax.lax.while_loop(unfinished, again, begun).best
 
 

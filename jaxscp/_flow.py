@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._discretization import Discretization, Quadrature
-from ._loop import repeat
+from ._loop import repeat, sequence
 from ._peaks import Watch, largest, moving
 from ._problem import OptimalControlProblem
 from ._step import RK4_NODES, Span, Step
@@ -47,12 +47,15 @@ class Flow(eqx.Module):
     - `substeps`: Runge-Kutta steps; may be traced.
     - `reversible`: whether derivatives are taken backwards through it, by whatever it
         depends on, and of any order: slower to evaluate.
+    - `unrolled`: whether the stages of a step are written out: slower to compile, faster
+        where all tangents are carried through.
     """
 
     problem: OptimalControlProblem
     discretization: Discretization
     substeps: Array | int
     reversible: bool = eqx.field(static=True, default=False)
+    unrolled: bool = eqx.field(static=True, default=False)
 
     @property
     def watch(self) -> Watch:
@@ -65,6 +68,11 @@ class Flow(eqx.Module):
     def gathers(self) -> bool:
         """Whether integrals grow along the flow."""
         return self.discretization.quadrature is Quadrature.FLOW
+
+    @property
+    def sums(self) -> int:
+        """How many integrals grow along the flow, the running cost among them."""
+        return len(self.problem.integrals) + 1 if self.gathers else 0
 
     def rates(self, t: Scalar, x: Array, u: Array) -> Float[Array, " w"]:
         """Of the states, then of the integrals and the running cost if they flow."""
@@ -80,7 +88,7 @@ class Flow(eqx.Module):
         x: Float[Array, " n"],
         *,
         reach: Array | float = 1.0,
-        nudges: tuple[Array, ...] | None = None,
+        nudges: Float[Array, "4 w"] | None = None,
     ) -> Step:
         """One step; together they lead a share `reach` (0 to 1) into the interval.
 
@@ -88,19 +96,20 @@ class Flow(eqx.Module):
 
         - `nudges`: added to the rates at each stage.
         """
-        share, place = jnp.asarray(reach) / self.substeps, x
+        share = jnp.asarray(reach) / self.substeps
         seconds = span.seconds * share
-        slopes: list[Array] = []
-        stages: list[Array] = []
-        # All four in one loop pass: slower to compile than one by one, faster to run.
-        for stage, node in enumerate(RK4_NODES):
-            if stage:
-                place = x + node * seconds * slopes[-1][: x.size]
+
+        def stage(slope: Array, told: tuple) -> tuple[Array, tuple[Array, Array]]:
+            node, nudge = told
+            place = x + node * seconds * slope[: x.size]
             t, u = span.moment(self.discretization.hold, (index + node) * share)
-            slope = self.rates(t, place, u)
-            slopes.append(slope if nudges is None else slope + nudges[stage])
-            stages.append(jnp.concatenate([t[None], place, u]))
-        return Step(x, seconds, tuple(slopes), tuple(stages))
+            slope = self.rates(t, place, u) + nudge
+            return slope, (slope, jnp.concatenate([t[None], place, u]))
+
+        still = jnp.zeros((len(RK4_NODES), x.size + self.sums))
+        told = (jnp.asarray(RK4_NODES), still if nudges is None else nudges)
+        slopes, stages = sequence(stage, still[0], told, unrolled=self.unrolled)
+        return Step(x, seconds, slopes, stages)
 
     def watched(
         self, span: Span, index: Array | int, step: Step, shares: Float[Array, " e"]
@@ -169,8 +178,7 @@ class Flow(eqx.Module):
         """The course before the first step."""
         parts = self.discretization.between
         flat = jnp.full((parts, self.watch.size), -jnp.inf)
-        sums = len(self.problem.integrals) + 1 if self.gathers else 0
-        return Course(x, jnp.zeros(sums), Peaks(flat, jnp.zeros(flat.shape, int)))
+        return Course(x, jnp.zeros(self.sums), Peaks(flat, jnp.zeros(flat.shape, int)))
 
     def advance(self, span: Span, index: Array, course: Course) -> Course:
         """The course after one more step."""

@@ -1,5 +1,7 @@
 """The flow of all intervals at once, and its Jacobians."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.flatten_util
@@ -96,6 +98,7 @@ def linearize(
     final_time: Scalar,
 ) -> tuple[Intervals, IntervalJacobians]:
     """Values and Jacobians of [`propagate`][] in one sweep of forward tangents."""
+    flow = dataclasses.replace(flow, unrolled=True)
     two_sided = flow.discretization.holds_right
 
     def interval(start, width, x, left, right):
@@ -118,8 +121,8 @@ def linearize(
         right_control=by_right[0] if by_right else None,
     )
     n = states.shape[1]
-    sums = len(flow.problem.integrals) + 1 if flow.gathers else 0
-    parts = (slice(None, n), slice(n, n + sums), slice(n + sums, None))
+    grown = n + flow.sums
+    parts = (slice(None, n), slice(n, grown), slice(grown, None))
     values, jacobians = [ends[:, part] for part in parts], [whole[part] for part in parts]
     if not flow.gathers:
         rule = _trapezoid(flow, grid, states, controls, final_time)

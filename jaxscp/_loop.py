@@ -1,4 +1,4 @@
-"""A loop that repeats as often as it is told, and can be differentiated either way."""
+"""Loops: as often as told and differentiable either way, or written out."""
 
 from collections.abc import Callable
 
@@ -35,3 +35,24 @@ def repeat(
         return whole, None
 
     return jax.lax.scan(block, start, jnp.arange(0, most, _BLOCK))[0]
+
+
+def sequence(
+    body: Callable[[PyTree, tuple], tuple[PyTree, PyTree]],
+    start: PyTree,
+    told: tuple[Array, ...],
+    *,
+    unrolled: bool,
+) -> PyTree:
+    """What `jax.lax.scan` stacks, or the same written out.
+
+    Written out it takes longer to compile; where a loop would carry many tangents across
+    its border it takes less to run.
+    """
+    if not unrolled:
+        return jax.lax.scan(body, start, told)[1]
+    carry, found = start, []
+    for each in zip(*told, strict=True):
+        carry, result = body(carry, each)
+        found.append(result)
+    return jax.tree.map(lambda *each: jnp.stack(each), *found)

@@ -166,7 +166,8 @@ class ProximalSCP(AbstractSCP):
         found, judgement = search(
             transcription,
             state,
-            solve=lambda around: self._solve(transcription, state, around, *parts),
+            solve=lambda *told: self._solve(transcription, state, *told, *parts),
+            newton=NewtonStep.begun(state.solution, state.reach.weight),
             accept_ratio=self.accept_ratio,
             # Of a polishing step what counts is whether it stays feasible.
             correction_ratio=jnp.where(state.near, -jnp.inf, poor),
@@ -186,6 +187,7 @@ class ProximalSCP(AbstractSCP):
         transcription: Transcription,
         state: SCPState,
         around: Residuals,
+        start: NewtonStep,
         curvatures: tuple[Curvature, Curvature],
         measure: Damping,
     ) -> tuple[SubproblemSolution, Model, NewtonStep]:
@@ -194,18 +196,18 @@ class ProximalSCP(AbstractSCP):
         derivatives = state.iterate.derivatives
         convex, exact = (Model(around, derivatives, each) for each in curvatures)
         limits = step_limits(transcription, state.scaling, state.iterate.variables)
-        weight, last = 1.0 / state.radius, state.solution
-        newton = NewtonStep.none(last, weight)
+        weight = 1.0 / state.radius
+        newton = NewtonStep.none(start.solution, weight)
         if self.curvature == "all":
             newton = jax.lax.cond(
-                self._trusts_newton(state),
+                # Where there is no step there is none to correct.
+                self._trusts_newton(state) & start.found,
                 lambda: active_set_step(
                     exact,
                     measure,
                     limits,
-                    last,
+                    start,
                     jnp.maximum(1e-3 * state.optimality, 1e-11),
-                    weight=state.reach.weight,
                     longest=jnp.minimum(state.reach.length, self.longest),
                     # A convex subproblem's step is better than a short one.
                     heaviest=jnp.where(state.near, jnp.inf, weight),

@@ -25,7 +25,7 @@ class Search(eqx.Module):
     - `around`: the residuals the next subproblem is built on.
     - `merit`: which judges the step.
     - `expected`: residuals the model predicts for the uncorrected step.
-    - `best`: the better trial so far. `newton`: of the first pass.
+    - `best`: the better trial so far. `newton`: of the first pass, once that is done.
     """
 
     passes: Array
@@ -39,7 +39,10 @@ class Search(eqx.Module):
 def search(
     transcription: Transcription,
     state: SCPState,
-    solve: Callable[[Residuals], tuple[SubproblemSolution, Model, NewtonStep]],
+    solve: Callable[
+        [Residuals, NewtonStep], tuple[SubproblemSolution, Model, NewtonStep]
+    ],
+    newton: NewtonStep,
     *,
     accept_ratio: float,
     correction_ratio: Array,
@@ -55,7 +58,8 @@ def search(
     **Arguments:**
 
     - `solve`: the subproblem around some residuals, the model it took with those of the
-        reference, and Newton's step.
+        reference, and Newton's step, from another one. `newton`: where that starts; the
+        correction's starts from the step that it corrects.
     - `accept_ratio`: as in the ratio test. `correction_ratio`: below it a step is poor.
     - `feasibility`: a step that violates a constraint by more is poor, too.
     """
@@ -75,7 +79,7 @@ def search(
 
     def attempt(found: Search) -> Search:
         first, best = found.passes == 0, found.best
-        solution, model, newton = solve(found.around)
+        solution, model, newton = solve(found.around, found.newton)
         solution = _or_stay(solution, state.solution)
         following = state.merit.following(solution.multipliers, state.ceiling)
         merit = tree_where(first, following, found.merit)
@@ -93,7 +97,6 @@ def search(
 
     zero = jnp.zeros(())
     nowhere = Trial(state.solution, state.iterate.variables, here, zero + jnp.inf, zero)
-    newton = NewtonStep.none(state.solution, zero)
     passes = jnp.zeros((), int)
     found = Search(passes, here, state.merit, here, nowhere, newton)
     found = jax.lax.while_loop(again, attempt, found)

@@ -103,20 +103,18 @@ class _StepHessian(eqx.Module):
         flow, (span, x) = self.flow, self.variables.unpack(v)
         step = flow.step(span, self.index, x)
         shares = self._shares(span, step)
-        none = jax.tree.map(jnp.zeros_like, step.slopes)
+        none = jnp.zeros_like(step.slopes)
         gradient, kappa = jax.grad(self._sum, argnums=(0, 1))(v, none, shares)
 
         def followed(v):
             span, x = self.variables.unpack(v)
             step = flow.step(span, self.index, x)
-            points, slopes = jnp.stack(step.stages), jnp.zeros(0)
+            points, slopes = step.stages, jnp.zeros(0)
             if self.push.size:
                 inner = flow.path_points(span, self.index, step, shares)
                 points = jnp.concatenate([points, inner])
                 slopes = self._slope(span, step, shares)
-            pairs = zip(kappa, step.slopes, strict=True)
-            total = sum(jnp.vdot(weight, part) for weight, part in pairs)
-            return step.ending, points, total, slopes
+            return step.ending, points, jnp.vdot(kappa, step.slopes), slopes
 
         (_, points, _, _), (by_v, tangents, moved, tilts) = jax.vmap(
             lambda tangent: jax.jvp(followed, (v,), (tangent,)),
@@ -164,7 +162,7 @@ class _StepHessian(eqx.Module):
         def curved(point, kappa):
             return compact_hessian(lambda at: kappa @ rates(at), point, entries)
 
-        return _summed(jax.vmap(curved)(points, jnp.stack(kappa)), tangents[:, entries])
+        return _summed(jax.vmap(curved)(points, kappa), tangents[:, entries])
 
     def _of_peaks(self, points, tangents) -> Float[Array, "v v"]:
         pushes = self.push[self.flow.watch.limits :]

@@ -1,5 +1,6 @@
 """`solve`: from a problem and guesses to a solution."""
 
+import functools
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,6 +12,7 @@ import numpy as np
 
 from ._captured import check_captured
 from ._choice import best, best_unverified
+from ._compiler import compiler_options
 from ._discretization import Discretization
 from ._free_intervals import lifted, lowered
 from ._outcome import differentiable, outcome
@@ -127,8 +129,10 @@ def solve(
 
 
 def _as_parameter(leaf: Any) -> Any:
-    """NumPy arrays are parameters too."""
-    return jnp.asarray(leaf) if isinstance(leaf, (np.ndarray, np.generic)) else leaf
+    """NumPy arrays are parameters, too. Weakly typed ones would compile anew."""
+    if isinstance(leaf, (np.ndarray, np.generic, jax.Array)):
+        return jnp.asarray(leaf, leaf.dtype)
+    return leaf
 
 
 def _best(
@@ -169,14 +173,16 @@ def _from(
 ) -> Solution:
     """What one guess leads to, as a function of the problem but not of the guess."""
     numbers, guess = constant((transcription, guess))
-    solution = _run(method, numbers, guess, attempt, progress)
+    # Only what is compiled by itself may have options of its own.
+    alone = is_concrete(eqx.filter((numbers, guess, attempt), eqx.is_array))
+    run_compiled = _run_alone() if alone else _run
+    solution = run_compiled(method, numbers, guess, attempt, progress)
     if is_concrete(eqx.filter(transcription, eqx.is_array)):
         return solution
     return differentiable(transcription, solution, smoothing)
 
 
-@eqx.filter_jit
-def _run(
+def _from_here(
     method: AbstractSCP,
     transcription: Transcription,
     guess: Trajectory,
@@ -194,3 +200,11 @@ def _run(
         return run(method, transcription, variables, progress, attempt)
 
     return outcome(transcription, *one(arrays))
+
+
+_run = eqx.filter_jit(_from_here)
+
+
+@functools.cache
+def _run_alone() -> Callable[..., Solution]:
+    return eqx.filter_jit(_from_here, compiler_options=compiler_options())

@@ -41,15 +41,15 @@ class Step(eqx.Module):
     """One Runge-Kutta step.
 
     - `origin`: the state it starts from. `seconds`: its length.
-    - `slopes`: rates at the four stages: of the states, then of the integrals and the
-        running cost, if they flow.
+    - `slopes`: rates at each stage: of the states, then of the integrals and the running
+        cost, if they flow.
     - `stages`: time, state and control at each stage.
     """
 
     origin: Float[Array, " n"]
     seconds: Scalar
-    slopes: tuple[Array, ...]
-    stages: tuple[Array, ...]
+    slopes: Float[Array, "4 w"]
+    stages: Float[Array, "4 q"]
 
     @property
     def ending(self) -> Float[Array, " n"]:

@@ -28,7 +28,7 @@ from past_a_disc import (
 )
 
 from jaxscp import Bounds, OptimalControlProblem
-from jaxscp._active_set import active_set_step
+from jaxscp._active_set import NewtonStep, active_set_step
 from jaxscp._damping import Damping
 from jaxscp._layout import Structure
 from jaxscp._model import Model
@@ -49,9 +49,8 @@ def newton_step(model, metric, limits, last, weight=1.0, longest=np.inf, heavies
         model,
         metric,
         limits,
-        last,
+        NewtonStep.begun(last, jnp.asarray(weight)),
         jnp.asarray(PRECISION),
-        weight=jnp.asarray(weight),
         longest=jnp.asarray(longest),
         heaviest=jnp.asarray(heaviest),
         slack=0.0,
