@@ -37,6 +37,25 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("jaxscp")
 
 
+# Each longer than most. What is left to the end should be short, or one worker waits.
+LONG = ("textbook", "swing", "subproblem", "test_solve", "test_readme")
+
+
+def pytest_collection_modifyitems(items):
+    """A file's tests share what they compile, and so do those of some files: they go to
+    one worker, the longest first.
+    """
+    place = {name: rank for rank, name in enumerate(LONG)}
+    ranks = {}
+    for item in items:
+        mark = item.get_closest_marker("xdist_group")
+        group = mark.args[0] if mark else item.path.stem
+        if mark is None:
+            item.add_marker(pytest.mark.xdist_group(group))
+        ranks[item] = place.get(group, len(LONG))
+    items.sort(key=ranks.__getitem__)
+
+
 @pytest.fixture(autouse=True, scope="module")
 def room_for_programs():
     """Compiled programs are let go before a process has more of them mapped into its
