@@ -38,7 +38,19 @@ hypothesis.settings.load_profile("jaxscp")
 
 
 # Each longer than most. What is left to the end should be short, or one worker waits.
-LONG = ("textbook", "swing", "subproblem", "test_solve", "test_readme")
+LONG = (
+    "textbook",
+    "test_solve",
+    "swing",
+    "test_second_order",
+    "test_cli",
+    "test_readme",
+    "subproblem",
+    "test_discretization",
+    "test_peaks",
+    "test_station_placement",
+    "test_audit",
+)
 
 
 def pytest_collection_modifyitems(items):
