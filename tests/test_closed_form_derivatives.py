@@ -32,9 +32,7 @@ class TestClosedForms:
             first = jax.grad(lambda d, T: energy(d, T).objective, (0, 1))(d, T)
             return first, first
 
-        # Of a weak type, as Python's numbers, `solve` would be compiled for them.
-        at = jnp.asarray(d, float), jnp.asarray(T, float)
-        hessian, first = jax.jacfwd(slopes, (0, 1), has_aux=True)(*at)
+        hessian, first = jax.jacfwd(slopes, (0, 1), has_aux=True)(d, T)
         assert first == pytest.approx((24 * d / T**3, -36 * d**2 / T**4), rel=1e-7)
         mixed = -72 * d / T**4
         expected = [[24 / T**3, mixed], [mixed, 144 * d**2 / T**5]]
