@@ -166,7 +166,9 @@ class ProximalSCP(AbstractSCP):
         found, judgement = search(
             transcription,
             state,
-            solve=lambda *told: self._solve(transcription, state, *told, *parts),
+            solve=lambda around, start: self._solve(
+                transcription, state, around, start, *parts
+            ),
             newton=NewtonStep.begun(state.solution, state.reach.weight),
             accept_ratio=self.accept_ratio,
             # Of a polishing step what counts is whether it stays feasible.

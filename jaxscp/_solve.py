@@ -207,4 +207,6 @@ _run = eqx.filter_jit(_from_here)
 
 @functools.cache
 def _run_alone() -> Callable[..., Solution]:
-    return eqx.filter_jit(_from_here, compiler_options=compiler_options())
+    # Equinox passes on what its signature does not name.
+    options: dict[str, Any] = {"compiler_options": compiler_options()}
+    return eqx.filter_jit(_from_here, **options)

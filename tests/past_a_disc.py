@@ -24,7 +24,7 @@ from jaxscp._per_constraint import PerConstraint
 from jaxscp._problem import Integral
 from jaxscp._qp import PIQP
 from jaxscp._scaling import Scaling, automatic_scaling
-from jaxscp._subproblem import SubproblemSolution, step_limits
+from jaxscp._subproblem import SubproblemSolution, solve_subproblem, step_limits
 from jaxscp._subproblem_data import Limits, Outline, Prices, SubproblemData
 from jaxscp._transcription import Transcription, Variables
 
@@ -245,7 +245,10 @@ def held_damping_of(model: Model, seed=0) -> Damping:
     return Damping(*drawn(draw.exponential, weights), *centres, measure)
 
 
+# Wrapped once for all tests: wrapped again they would be compiled again.
 to_the_host = quick_jit(SubproblemData.of)
+solve = quick_jit(solve_subproblem)
+predict = quick_jit(Model.predict)
 
 
 def solver_and_numbers(structure: Structure, settings: PIQP, data: SubproblemData):

@@ -21,9 +21,11 @@ from past_a_disc import (
     flat,
     held_damping_of,
     of_limits,
+    predict,
     prepare,
     prices_for,
     quick_jit,
+    solve,
     transcribed,
 )
 
@@ -34,27 +36,33 @@ from jaxscp._layout import Structure
 from jaxscp._model import Model
 from jaxscp._problem import Integral
 from jaxscp._qp import PIQP
-from jaxscp._subproblem import SubproblemSolution, solve_subproblem
+from jaxscp._subproblem import SubproblemSolution
 from jaxscp._subproblem_data import Limits
 from jaxscp._transcription import Derivatives, Variables
 
-solve = quick_jit(solve_subproblem)
-predict = quick_jit(Model.predict)
+pytestmark = pytest.mark.xdist_group("subproblem")
+
 PRECISION = 1e-11
 
 
 @quick_jit
-def newton_step(model, metric, limits, last, weight=1.0, longest=np.inf, heaviest=0.0):
+def compiled_step(model, metric, limits, last, weight, longest, heaviest):
     return active_set_step(
         model,
         metric,
         limits,
-        NewtonStep.begun(last, jnp.asarray(weight)),
+        NewtonStep.begun(last, weight),
         jnp.asarray(PRECISION),
-        longest=jnp.asarray(longest),
-        heaviest=jnp.asarray(heaviest),
+        longest=longest,
+        heaviest=heaviest,
         slack=0.0,
     )
+
+
+def newton_step(model, metric, limits, last, weight=1.0, longest=np.inf, heaviest=0.0):
+    # Python's numbers would each be compiled for themselves.
+    numbers = (jnp.asarray(number, float) for number in (weight, longest, heaviest))
+    return compiled_step(model, metric, limits, last, *numbers)
 
 
 def step_from(*args):

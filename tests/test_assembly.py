@@ -21,9 +21,10 @@ from past_a_disc import (
     every_discretization,
     flat,
     held_damping_of,
+    predict,
     prices_of,
     problem_of,
-    quick_jit,
+    solve,
     solver_and_numbers,
     structure_of,
     to_the_host,
@@ -32,12 +33,10 @@ from past_a_disc import (
 from random_models import random_limits, random_model
 
 from jaxscp._layout import Layout, Structure
-from jaxscp._model import Model
 from jaxscp._qp import PIQP
-from jaxscp._subproblem import solve_subproblem
 from jaxscp._transcription import Variables
 
-predict = quick_jit(Model.predict)
+pytestmark = pytest.mark.xdist_group("subproblem")
 
 
 def random_data(structure: Structure, name: str, seed=0, damping=held_damping_of):
@@ -138,7 +137,7 @@ def test_virtual_control_is_taken_where_the_dynamics_cost_far_more(price, relaxe
     virtual = jnp.full_like(prices.virtual_control, price)
     prices = dataclasses.replace(prices, virtual_control=virtual, relax=jnp.ones(()))
     arguments = (PIQP(), model, damping, prices, limits)
-    solution = quick_jit(solve_subproblem)(structure, *arguments)
+    solution = solve(structure, *arguments)
     assert bool(solution.effort.solved)
     assert bool(solution.effort.relaxed) is relaxed
     broken = predict(model, solution.step).defects
@@ -146,7 +145,7 @@ def test_virtual_control_is_taken_where_the_dynamics_cost_far_more(price, relaxe
 
 
 def test_a_pattern_is_set_up_once(monkeypatch):
-    structure, solve = structure_of(), quick_jit(solve_subproblem)
+    structure = structure_of()
 
     def data(seed, proximal):
         model, damping, prices, limits = random_data(

@@ -22,7 +22,9 @@ class Dragged(eqx.Module):
 @pytest.fixture
 def dragged():
     problem = textbook.minimum_time_double_integrator(1.3, 0.9)
-    return eqx.tree_at(lambda p: p.dynamics, problem, Dragged(jnp.asarray(0.1)))
+    # Of a weak type, as without `float`, the first solve would be compiled for itself.
+    drag = Dragged(jnp.asarray(0.1, float))
+    return eqx.tree_at(lambda p: p.dynamics, problem, drag)
 
 
 def test_every_parameter_of_a_problem(dragged):

@@ -11,12 +11,8 @@ from bank import BANK, Known, cycloid_time, hypersensitive_optimum, steps
 import jaxscp
 from jaxscp.verify import verify
 
+pytestmark = pytest.mark.xdist_group("textbook")
 BY_NAME = {known.name: known for known in BANK}
-# Much stricter than the defaults: the distance from the optimum is the square root of
-# the predicted reduction's.
-PRECISE = jaxscp.ProximalSCP(
-    tolerance=1e-9, min_reduction=1e-12, feasibility_tolerance=1e-8
-)
 every_problem = pytest.mark.parametrize("name", BY_NAME)
 
 
@@ -26,7 +22,7 @@ def solved(name: str):
     problem = known.build()
     guess = known.guess(problem, known.nodes)
     discretization = jaxscp.Discretization(hold=known.hold)
-    return problem, jaxscp.solve(problem, guess, PRECISE, discretization=discretization)
+    return problem, jaxscp.solve(problem, guess, discretization=discretization)
 
 
 def test_the_figures_of_the_literature():
@@ -56,6 +52,11 @@ def test_verification(name):
 
 def test_minimum_energy_trajectory_and_costates():
     _, solution = solved("minimum-energy")
+    assert bool(solution.polished)
+    assert float(solution.optimality) <= 1e-8
+    assert "optimality conditions" in solution.message
+    change = np.diff(np.asarray(solution.trajectory.controls[:, 0]))
+    np.testing.assert_allclose(change, change[0], atol=1e-5)
     d, duration = 3.0, 2.0
     trajectory = solution.trajectory
     s = np.asarray(trajectory.fractions)
@@ -142,7 +143,7 @@ def test_bryson_denham_acceleration():
 def test_a_warm_start_stays_where_it_is():
     problem, solution = solved("minimum-energy")
     again = jaxscp.solve(
-        problem, solution.trajectory, PRECISE, discretization=solution.discretization
+        problem, solution.trajectory, discretization=solution.discretization
     )
     assert steps(again) < steps(solution)
     np.testing.assert_allclose(

@@ -3,22 +3,14 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from swing import swing
+from swing import swing, swung
 
-import jaxscp
-
-NODES = 15
-# Converged far beyond what is compared: two paths to one point differ on the way.
-METHOD = jaxscp.ProximalSCP(tolerance=1e-9, feasibility_tolerance=1e-8)
-
-
-def solved(**units):
-    return jaxscp.solve(swing(**units), method=METHOD, nodes=NODES)
+pytestmark = pytest.mark.xdist_group("swing")
 
 
 @pytest.fixture(scope="module")
 def plain():
-    return solved()
+    return swung(swing())
 
 
 @pytest.mark.parametrize(
@@ -36,7 +28,7 @@ def plain():
     ids=str,
 )
 def test_units_do_not_matter(plain, units):
-    other = solved(**units)
+    other = swung(swing(**units))
     unit = {"angle": 1.0, "speed": 1.0, "torque": 1.0, "time": 1.0, "cost": 1.0}
     unit |= {"ceiling": 1.0, "data": 1.0} | units
     size = np.array([unit["angle"], unit["speed"]])

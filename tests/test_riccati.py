@@ -18,6 +18,8 @@ from jaxscp._model import Model, cost_gradient
 from jaxscp._riccati import Factors, Forced, arranged, factorize, solve
 from jaxscp._transcription import Variables
 
+pytestmark = pytest.mark.xdist_group("subproblem")
+
 # With held controls, with those at both ends, and with integrals by nodal values.
 every_chain = pytest.mark.parametrize(
     "name", ["zero-order", "first-order", "trapezoid", "first-order-trapezoid"]

@@ -141,20 +141,20 @@ def slope_by_differences(transcription, multipliers, vector):
     return 0.5e5 * (ahead - behind)
 
 
-def discretizations(*slow):
-    """All of them, some marked as slow."""
-    every = {
-        "zero-order-flow": (ZeroOrderHold(), Quadrature.FLOW),
-        "zero-order-trapezoid": (ZeroOrderHold(), Quadrature.TRAPEZOID),
-        "first-order-flow": (FirstOrderHold(), Quadrature.FLOW),
-        "first-order-trapezoid": (FirstOrderHold(), Quadrature.TRAPEZOID),
-    }
-    marks = {name: pytest.mark.slow if name in slow else () for name in every}
-    cases = [pytest.param(*every[name], id=name, marks=marks[name]) for name in every]
+DISCRETIZATIONS = {
+    "zero-order-flow": (ZeroOrderHold(), Quadrature.FLOW),
+    "zero-order-trapezoid": (ZeroOrderHold(), Quadrature.TRAPEZOID),
+    "first-order-flow": (FirstOrderHold(), Quadrature.FLOW),
+    "first-order-trapezoid": (FirstOrderHold(), Quadrature.TRAPEZOID),
+}
+
+
+def discretizations(*names):
+    cases = [pytest.param(*DISCRETIZATIONS[name], id=name) for name in names]
     return pytest.mark.parametrize(("hold", "quadrature"), cases)
 
 
-@discretizations()
+@discretizations(*DISCRETIZATIONS)
 def test_the_hessian_is_that_of_the_lagrangian(hold, quadrature):
     """Against forward derivatives of the whole discrete problem, twice."""
     transcription = transcribed(hold, quadrature, between=0)
@@ -165,7 +165,7 @@ def test_the_hessian_is_that_of_the_lagrangian(hold, quadrature):
 
 
 # Two of them have every hold and every quadrature.
-@discretizations("zero-order-trapezoid", "first-order-flow")
+@discretizations("zero-order-flow", "first-order-trapezoid")
 def test_the_hessian_moves_the_peaks_along(hold, quadrature):
     """Against differences of the slope, which holds the moment of each peak still.
 
@@ -281,13 +281,9 @@ def double_integrator() -> OptimalControlProblem:
 
 @pytest.mark.parametrize(
     "discretization",
-    [
-        Discretization(),
-        # Problems with known optima are solved with it as well.
-        pytest.param(Discretization(FirstOrderHold()), marks=pytest.mark.slow),
-        Discretization(quadrature=Quadrature.TRAPEZOID),
-    ],
-    ids=["zero-order", "first-order", "trapezoid"],
+    # With a first-order hold: `test_closed_forms.py`.
+    [Discretization(), Discretization(quadrature=Quadrature.TRAPEZOID)],
+    ids=["zero-order", "trapezoid"],
 )
 def test_a_polished_solution_meets_the_conditions(discretization):
     solution = jaxscp.solve(double_integrator(), nodes=11, discretization=discretization)

@@ -74,7 +74,8 @@ def study():
     valued = eqx.filter_value_and_grad(total_cost, has_aux=True)
     # A hundredth of the share counts as much as a tenth of a metre.
     unit = jnp.array([1.0, 1.0, 0.1])
-    design, length, costs = Design(SOURCE, jnp.asarray(0.3)), 1.0, []
+    # Of a weak type, as without `float`, the first solve would be compiled for itself.
+    design, length, costs = Design(SOURCE, jnp.asarray(0.3, float)), 1.0, []
     (cost, flown), gradient = valued(design)
     while length > 1e-3:
         costs.append(float(cost))

@@ -27,10 +27,11 @@ from past_a_disc import (
     multipliers_of,
     of_limits,
     parts_of,
+    predict,
     prepare,
     prices_of,
     problem_of,
-    quick_jit,
+    solve,
     solver_and_numbers,
     structure_of,
     to_the_host,
@@ -42,16 +43,15 @@ from scipy.linalg import block_diag
 from jaxscp._constraints import violations, worst_violation
 from jaxscp._damping import Damping
 from jaxscp._merit import ExactPenalty
-from jaxscp._model import Model
 from jaxscp._qp import PIQP
 from jaxscp._subproblem import SubproblemSolution, solve_subproblem
 from jaxscp._subproblem_data import Prices
 from jaxscp._transcription import Variables
 
+pytestmark = pytest.mark.xdist_group("subproblem")
+
 # Multipliers magnify what the default tolerance leaves.
 PRECISE = PIQP(finest=1e-10)
-solve = quick_jit(solve_subproblem)
-predict = quick_jit(Model.predict)
 
 
 def solved(
