@@ -17,9 +17,9 @@ from .age import age
 from .openscvx_problem import WEIGHTS, openscvx_problem
 
 
-def solve(case: dict, weights: str, precision: str, repeats: int, limit: float) -> dict:
-    """How OpenSCvx ended, and its nodes."""
-    problem = openscvx_problem(case, weights, precision)
+def solve(case: dict, *, repeats: int, limit: float, **settings: str) -> dict:
+    """How OpenSCvx ended, and its nodes; the settings are those of the problem."""
+    problem = openscvx_problem(case, **settings)
     problem.initialize()
     ready, first = age(), copy.deepcopy(problem.algorithm.weights)
     result = problem.solve(time_limit=limit)
@@ -59,6 +59,7 @@ def main() -> None:
     parser.add_argument("case", type=Path)
     parser.add_argument("result", type=Path)
     parser.add_argument("--weights", choices=WEIGHTS, default="default")
+    parser.add_argument("--scales", choices=("jaxscp", "limits"), default="jaxscp")
     parser.add_argument("--precision", choices=("float32", "float64"), default="float64")
     parser.add_argument("--repeats", type=int, default=2)
     parser.add_argument("--limit", type=float, default=120.0, help="of a solve [s]")

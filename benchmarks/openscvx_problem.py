@@ -18,10 +18,16 @@ MOST = 2.0
 WEIGHTS = {"default": {}, "tuned": {"lam_cost": 1.0, "lam_prox": 0.01}}
 
 
-def openscvx_problem(case: dict, weights: str, precision: str) -> ox.Problem:
-    """Held controls on a uniform grid, limits at the nodes, a free flight time."""
+def openscvx_problem(case: dict, weights: str, scales: str, precision: str) -> ox.Problem:
+    """Held controls on a uniform grid, limits at the nodes, a free flight time.
+
+    **Arguments:**
+
+    - `scales`: of the motion: "jaxscp" for jaxscp's, "limits" for those that OpenSCvx
+        makes of the limits.
+    """
     final_time = case["guess"]["final_time"]
-    motion, control, total = _motion(case), _control(case), _total(case)
+    motion, control, total = _motion(case, scales), _control(case), _total(case)
     return ox.Problem(
         dynamics={},
         constraints=[],
@@ -44,7 +50,7 @@ def openscvx_problem(case: dict, weights: str, precision: str) -> ox.Problem:
     )
 
 
-def _motion(case: dict) -> ox.State:
+def _motion(case: dict, kind: str) -> ox.State:
     """Position, velocity, angles and body rates."""
     guess = np.array(case["guess"]["states"])
     low, high, scales = (
@@ -54,7 +60,8 @@ def _motion(case: dict) -> ox.State:
     beyond = guess.min(axis=0) - WIDE * scales, guess.max(axis=0) + WIDE * scales
     motion.min = np.where(np.isfinite(low), low, beyond[0])
     motion.max = np.where(np.isfinite(high), high, beyond[1])
-    motion.scaling_min, motion.scaling_max = -scales, scales
+    if kind == "jaxscp":
+        motion.scaling_min, motion.scaling_max = -scales, scales
     motion.initial, motion.final = list(guess[0]), list(guess[-1])
     motion.guess = guess
     return motion

@@ -40,6 +40,7 @@ IPOPT = {
 }
 OPENSCVX = {
     "OpenSCvx": ("openscvx_peer", "--weights", "default"),
+    "OpenSCvx, its scales": ("openscvx_peer", "--scales", "limits"),
     "OpenSCvx, tuned": ("openscvx_peer", "--weights", "tuned"),
 }
 HEADINGS = (
@@ -103,9 +104,12 @@ def measure(name: str, arguments: argparse.Namespace) -> list[dict]:
         case, cache = Path(folder) / "case.json", str(Path(folder) / "cache")
         for python, ways, options in groups:
             for solver, way in ways.items():
+                if solver not in arguments.solvers:
+                    continue
                 way = tuple(cache if part == "{cache}" else part for part in way)
                 facts = judged(problem, guess, run(python, way, case, options))
                 rows.append({"mission": name, "solver": solver, **facts})
+                print(solver, facts["status"], file=sys.stderr, flush=True)
     return compared(rows, BEST_KNOWN[name])
 
 
