@@ -16,7 +16,7 @@ class DiscreteProblem(NamedTuple):
     """minimize f(z) subject to bounds on z and on g(z).
 
     - `expressions`: "x", "f" and "g", as `casadi.nlpsol` takes them.
-    - `constraints`: the parts of g: defects, and the data if there are any to send.
+    - `constraints`: the parts of g: defects, then buildings and data where there are any.
     - `limits`: "lbx", "ubx", "lbg" and "ubg", as the solver takes them.
     - `scale`: what an entry of z stands for in physical units.
     """
@@ -69,6 +69,11 @@ def discrete_problem(case: dict, *, scaled: bool) -> DiscreteProblem:
     totals, defects = ca.sum2(growth), ca.vec(states[:, 1:] - ends)
     constraints = [defects / scale[12 : 12 * nodes]]
     lower = upper = np.zeros(12 * intervals)
+    for place, safe in zip(*mission["obstacles"].values(), strict=True):
+        squares = ca.sum1((states[:2, :] - ca.DM(place)) ** 2)
+        constraints.append(1.0 - squares.T / safe**2)
+        lower = np.append(lower, np.full(nodes, -np.inf))
+        upper = np.append(upper, np.zeros(nodes))
     if mission["data_required"] is not None:
         constraints.append(totals[0])
         lower, upper = np.append(lower, 1.0), np.append(upper, np.inf)
@@ -90,6 +95,16 @@ def packed(case: dict, trajectory: dict) -> np.ndarray:
     controls = np.asarray(trajectory["controls"])[: control_nodes(case)]
     states, final_time = np.ravel(trajectory["states"]), trajectory["final_time"]
     return np.concatenate([states, controls.ravel(), [final_time]])
+
+
+def trajectory(case: dict, vector: np.ndarray) -> dict:
+    """What `packed` packed: only such controls as the problem has."""
+    nodes, free = len(case["fractions"]), control_nodes(case)
+    return {
+        "states": vector[: 12 * nodes].reshape(nodes, 12).tolist(),
+        "controls": vector[12 * nodes : -1].reshape(free, 4).tolist(),
+        "final_time": float(vector[-1]),
+    }
 
 
 def unpacked(case: dict, vector: ca.MX) -> tuple[ca.MX, ca.MX, ca.MX]:

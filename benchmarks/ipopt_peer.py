@@ -5,19 +5,21 @@ A process of its own without JAX, so that its memory is that of CasADi and IPOPT
 
 import argparse
 import json
+import statistics
 import time
 from pathlib import Path
 
 import casadi as ca
 
 from . import memory
-from .casadi_problem import DiscreteProblem, discrete_problem, packed
+from .age import age
+from .casadi_problem import DiscreteProblem, discrete_problem, packed, trajectory
 
 # Of the objective and the constraints, scaled, that CasADi finds at jaxscp's solution.
 SAME = 1e-6
 
 
-def solve(case: dict, *, graph: str, scaled: bool, limit: float) -> dict:
+def solve(case: dict, *, graph: str, scaled: bool, limit: float, repeats: int) -> dict:
     """How IPOPT ended; the seconds are its own, without building the problem."""
     imported, begun = memory.resident(), time.perf_counter()
     problem = discrete_problem(case, scaled=scaled)
@@ -40,7 +42,8 @@ def solve(case: dict, *, graph: str, scaled: bool, limit: float) -> dict:
     begun, cpu = time.perf_counter(), time.process_time()
     found = solver(x0=start, **problem.limits)
     seconds, cpu = time.perf_counter() - begun, time.process_time() - cpu
-    outcome = solver.stats()
+    cold, outcome = age(), solver.stats()
+    again = repeated(lambda: solver(x0=start, **problem.limits), repeats, limit)
     return {
         "objective": float(found["f"]),
         "violation": violation(problem.limits, found["g"]),
@@ -50,10 +53,23 @@ def solve(case: dict, *, graph: str, scaled: bool, limit: float) -> dict:
         "seconds": seconds,
         "cpu_seconds": cpu,
         "build_seconds": built,
+        "cold_seconds": cold,
+        "warm_seconds": statistics.median(again or [seconds]),
+        "found": trajectory(case, found["x"].full().ravel() * problem.scale),
         "memory_imported": imported,
         "memory_peak": memory.peak(),
         "casadi": ca.__version__,
     }
+
+
+def repeated(call, repeats: int, limit: float) -> list[float]:
+    """Seconds of further calls: no more of them than the limit has room for."""
+    seconds: list[float] = []
+    while len(seconds) < repeats and sum(seconds) < limit:
+        begun = time.perf_counter()
+        call()
+        seconds.append(time.perf_counter() - begun)
+    return seconds
 
 
 def jacobian(problem: DiscreteProblem, *, expand: bool) -> ca.Function:
@@ -101,6 +117,7 @@ def main() -> None:
     parser.add_argument("--graph", choices=("mapped", "expanded", "compiled"))
     parser.add_argument("--scaled", action="store_true")
     parser.add_argument("--limit", type=float)
+    parser.add_argument("--repeats", type=int, default=0, help="further solves")
     options = vars(parser.parse_args())
     case, result = json.loads(options.pop("case").read_text()), options.pop("result")
     # Before anything else has a part in its memory.

@@ -1,0 +1,183 @@
+"""Where the time of a warm solve goes: python -m benchmarks.breakdown
+
+The iterates of a solve are found again one by one, from Python, and each piece of an
+iteration is timed at each of them as a program of its own, as often as the solve needed
+it. Milliseconds are sums over all iterates, without what calling a program costs.
+"""
+
+import argparse
+import statistics
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+import jaxscp
+from jaxscp import missions
+from jaxscp._layout import Structure
+from jaxscp._subproblem import _on_host
+from jaxscp._subproblem_data import Outline
+from jaxscp._transcription import Transcription
+
+from . import pieces
+from .report import write_report
+from .timing import timed_solve
+
+MISSIONS = ("free-flight", "free-space-30MB-60dB", "urban-30MB-60dB")
+# Calls whose median counts.
+CALLS = 3
+# A piece to what it is called.
+NAMES = {
+    "linearization": "linearization",
+    "conditions": "optimality conditions",
+    "curvature": "curvature and metric",
+    "newton": "polishing: Newton's step and active constraints",
+    "data": "QP: blocks",
+    "piqp": "QP: PIQP itself",
+    "host": "QP: the rest on the host (assembly, reading)",
+    "callback": "QP: transfer and callback",
+    "trial": "trial of a step",
+}
+
+
+class Ledger:
+    """Seconds and numbers of calls of each piece."""
+
+    def __init__(self):
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.calls: dict[str, int] = defaultdict(int)
+
+    def add(self, piece: str, seconds: float, times: int = 1) -> None:
+        self.seconds[piece] += times * seconds
+        self.calls[piece] += times
+
+
+def median(call: Callable[[], Any]) -> float:
+    seconds = []
+    jax.block_until_ready(call())
+    for _ in range(CALLS):
+        begun = time.perf_counter()
+        jax.block_until_ready(call())
+        seconds.append(time.perf_counter() - begun)
+    return statistics.median(seconds)
+
+
+def replayed(transcription: Transcription, guess: jaxscp.Trajectory) -> Ledger:
+    """A solve from Python, with each piece timed where it was needed."""
+    ledger, done = Ledger(), False
+    state = pieces.first(transcription, transcription.variables(guess))
+    while not done:
+        state, done = _iteration(transcription, state, ledger)
+    return ledger
+
+
+def _iteration(transcription: Transcription, state, ledger: Ledger) -> tuple[Any, bool]:
+    at = (transcription, state)
+    idle = median(lambda: pieces.dispatch(*at))
+    if not bool(state.iterate.fresh):
+        spent = median(lambda: pieces.linearization(*at)) - idle
+        ledger.add("linearization", spent)
+    looked = pieces.look(*at)
+    at = (transcription, looked)
+    ledger.add("conditions", median(lambda: pieces.conditions(*at)) - idle)
+    if float(looked.optimality) <= pieces.METHOD.tolerance:
+        return looked, True
+    after, passes, tried, done = pieces.move(*at)
+    ledger.add("curvature", median(lambda: pieces.curvature(*at)) - idle)
+    parts = pieces.curvature(*at)
+    if bool(tried):
+        spent = median(lambda: pieces.newton(*at, parts)) - idle
+        ledger.add("newton", spent, int(passes))
+    if solves := int(after.subproblems - looked.subproblems):
+        _qp(transcription, looked, parts, idle, solves, ledger)
+    ledger.add("trial", median(lambda: pieces.trial(*at)) - idle, int(passes))
+    return after, bool(done)
+
+
+def _qp(transcription, state, parts, idle: float, solves: int, ledger: Ledger) -> None:
+    """One subproblem, from the outside and on the host."""
+    at, structure = (transcription, state, parts), Structure.of(transcription)
+    blocks, flat = jax.block_until_ready(pieces.data(*at))
+    outline, settings = Outline.of(blocks), pieces.METHOD.qp
+    numbers = np.asarray(flat)
+    host = median(lambda: _on_host(structure, settings, outline, numbers))
+    whole = median(lambda: pieces.subproblem(*at)) - idle
+    built = median(lambda: pieces.data(*at)) - idle
+    effort = pieces.subproblem(*at).effort
+    # One with virtual control is solved after one without, in the same call.
+    times = max(solves // int(effort.solves), 1)
+    inside = float(effort.seconds)
+    ledger.add("data", built, times)
+    ledger.add("piqp", inside, times)
+    ledger.add("host", host - inside, times)
+    ledger.add("callback", whole - built - host, times)
+
+
+def measure(name: str, repeats: int) -> dict:
+    """A mission's solve as a whole, and in pieces."""
+    mission = missions.get(name)
+    problem, guess = mission.problem(), mission.guess(100)
+    discretization = jaxscp.Discretization()
+    solution, _, warm = timed_solve(problem, guess, repeats)
+    transcription = Transcription(solution.problem, discretization, guess.fractions)
+    ledger = replayed(transcription, guess)
+    known, steps = dict(ledger.seconds), solution.statistics
+    return {
+        "mission": name,
+        "seconds": warm,
+        "piqp_seconds": float(steps.qp_seconds),
+        "iterations": int(steps.iterations),
+        "polish_iterations": int(steps.polish_iterations),
+        "subproblems": int(steps.subproblems),
+        "pieces": {
+            piece: {"seconds": known[piece], "calls": ledger.calls[piece]}
+            for piece in NAMES
+            if piece in known
+        },
+        "rest": warm - sum(known.values()),
+    }
+
+
+def table(row: dict) -> str:
+    """What each piece takes, in Markdown."""
+    whole = row["seconds"]
+
+    def line(name: str, calls: str, seconds: float) -> str:
+        each = f"{1e3 * seconds / int(calls):.2f}" if calls else ""
+        return (
+            f"| {row['mission']} | {name} | {calls} | {each}"
+            f" | {1e3 * seconds:.1f} | {100 * seconds / whole:.0f} % |"
+        )
+
+    lines = [
+        line(NAMES[piece], str(own["calls"]), own["seconds"])
+        for piece, own in row["pieces"].items()
+    ]
+    steps = f"{row['iterations']} + {row['polish_iterations']} iterations"
+    lines += [line("the rest", "", row["rest"]), line(f"all: {steps}", "", whole)]
+    return "\n".join(lines)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--missions", nargs="*", default=list(MISSIONS))
+    parser.add_argument("--repeats", type=int, default=9, help="warm solves")
+    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    arguments = parser.parse_args()
+    jax.config.update("jax_enable_x64", True)
+    print("| mission | piece | calls | ms each | ms | share |")
+    print("|---|---|---|---|---|---|")
+    rows = []
+    for name in arguments.missions:
+        rows.append(measure(name, arguments.repeats))
+        print(table(rows[-1]), flush=True)
+        if arguments.json:
+            write_report(arguments.json, missions=rows)
+
+
+if __name__ == "__main__":
+    main()
