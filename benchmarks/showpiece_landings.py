@@ -6,14 +6,18 @@ squared where the norm may vanish and the constraint still has a slope, with a r
 tip elsewhere.
 """
 
+import math
+
 import jax.numpy as jnp
 
 import jaxscp
 from jaxscp import Bounds, OptimalControlProblem
 
-from .showpiece_problems import FIRST_ORDER, SHORTEST, Showpiece, line, turned, turning
+from .showpiece_problems import SHORTEST, Showpiece, line, turned, turning
 
 ZERO_ORDER = jaxscp.Discretization(between=2)
+# With two parts an interval the 6-DoF landing does not converge.
+ONE_PART = jaxscp.Discretization(jaxscp.FirstOrderHold(), between=1)
 
 
 def norm(vector, tip: float):
@@ -23,14 +27,14 @@ def norm(vector, tip: float):
 
 # Of the 3-DoF lander: engines, thrust of each [N], cant of the engines [rad], specific
 # impulse [s], gravity of Mars and of Earth [m/s^2].
-ENGINES, ENGINE_THRUST, CANT, IMPULSE = 6, 3100.0, jnp.deg2rad(27.0), 225.0
+ENGINES, ENGINE_THRUST, CANT, IMPULSE = 6, 3100.0, math.radians(27.0), 225.0
 MARS, EARTH = 3.7114, 9.807
 # 30 and 80 % of the engines' thrust, along the vehicle's axis [N].
-LEAST, MOST = (share * ENGINES * ENGINE_THRUST * jnp.cos(CANT) for share in (0.3, 0.8))
+LEAST, MOST = (share * ENGINES * ENGINE_THRUST * math.cos(CANT) for share in (0.3, 0.8))
 # The example means 40 degrees and takes cos(180 - 40 pi / 180), of radians: 167 degrees
 # are allowed.
-POINTING = jnp.cos(180 - 40 * jnp.pi / 180)
-GLIDE = jnp.tan(jnp.deg2rad(86.0))
+POINTING = math.cos(180 - 40 * math.pi / 180)
+GLIDE = math.tan(math.radians(86.0))
 
 
 def landing_3dof(nodes: int = 10) -> Showpiece:
@@ -68,7 +72,7 @@ def landing_3dof(nodes: int = 10) -> Showpiece:
 
 def _lander_rates(t, x, u):
     del t
-    flow = norm(u, 1.0) / (IMPULSE * EARTH * jnp.cos(CANT))
+    flow = norm(u, 1.0) / (IMPULSE * EARTH * math.cos(CANT))
     pull = jnp.array([0.0, 0.0, MARS])
     return jnp.concatenate([x[3:6], u / x[6] - pull, -flow[None]])
 
@@ -100,7 +104,7 @@ def _below_glide_slope(t, x, u):
 # Of the 6-DoF lander, in units of its length, mass and gravity.
 INERTIA = (0.168 * 2e-2, 0.168, 0.168)
 ARM, PRESSURE_ARM, DRY, SPEED, TURN = 0.25, 0.05, 1.0, 3.0, 0.3752
-GIMBAL, TILT, SLOPE = (jnp.deg2rad(angle) for angle in (20.0, 75.0, 75.0))
+GIMBAL, TILT, SLOPE = (math.radians(angle) for angle in (20.0, 75.0, 75.0))
 WEAKEST, STRONGEST, EXHAUST, LEAK = 1.5, 6.5, 30.0, 0.01
 # Of density 1 and area 0.5; along the body's x, and across.
 DRAG = (0.125, 0.25, 0.25)
@@ -139,7 +143,7 @@ def landing_6dof(nodes: int = 5) -> Showpiece:
     )
     states = ([*start, 0.0, 0.0, 0.0, 1.0, *spin], [1.5, *rest])
     guess = line(states, ([2.0, 0.0, 0.0], [1.0, 0.0, 0.0]), 10.0, nodes)
-    return Showpiece(problem, guess, FIRST_ORDER)
+    return Showpiece(problem, guess, ONE_PART)
 
 
 def _rocket_mass_lost(t_f, x_f):
@@ -178,11 +182,11 @@ def _rocket_limits(t, x, u):
     velocity, rates = x[4:7], x[11:14]
     return jnp.stack(
         [
-            0.1 * (norm(x[2:4], 1e-3) - 1e-3) - jnp.tan(SLOPE) * x[1],
+            0.1 * (norm(x[2:4], 1e-3) - 1e-3) - math.tan(SLOPE) * x[1],
             0.1 * velocity @ velocity - SPEED**2,
-            jnp.cos(TILT) - 1 + 2 * (x[8] ** 2 + x[9] ** 2),
+            math.cos(TILT) - 1 + 2 * (x[8] ** 2 + x[9] ** 2),
             rates @ rates - TURN**2,
-            0.1 * norm(u, 1e-6) - u[0] / jnp.cos(GIMBAL),
+            0.1 * norm(u, 1e-6) - u[0] / math.cos(GIMBAL),
             0.1 * u @ u - STRONGEST**2,
             0.1 * WEAKEST**2 - u @ u,
         ]

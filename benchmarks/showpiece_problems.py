@@ -36,7 +36,7 @@ def line(states, controls, seconds: float, nodes: int) -> jaxscp.Trajectory:
 
     def between(ends):
         first, last = (jnp.asarray(end, float) for end in ends)
-        return first + shares[:, None] * (last - first)
+        return first[None] + shares[:, None] * (last - first)[None]
 
     return jaxscp.Trajectory(
         shares, between(states), between(controls), jnp.asarray(seconds)

@@ -1,10 +1,10 @@
 """OpenSCvx's examples solved by jaxscp, and by OpenSCvx: python -m benchmarks.showpieces
 
 Brachistochrone, a drone past obstacles, powered landing with three and with six degrees
-of freedom: the same states, limits, numbers of nodes and guesses as in the examples of
-OpenSCvx 0.5.2. jaxscp has no second-order cones; limits on norms are smooth path
-constraints. Its intervals are all alike, OpenSCvx's have durations of their own unless
-"alike" says otherwise.
+of freedom: the states, limits, numbers of nodes and guesses of the examples of OpenSCvx
+0.5.2. jaxscp has no second-order cones; limits on norms are smooth path constraints. Its
+intervals are all alike; OpenSCvx's have durations of their own, but for the
+brachistochrone's. Both trajectories are judged by `jaxscp.verify`, between the nodes too.
 
 OpenSCvx runs its own files, in a Python that has it, and is left out without:
 
@@ -21,6 +21,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
+import numpy as np
 
 import jaxscp
 
@@ -31,47 +33,75 @@ from .timing import timed_solve
 
 PEER = Path(__file__).with_name("showpieces_peer.py")
 HEADINGS = (
-    "problem | solver | objective | at the nodes | from the optimum | iterations"
-    " | converged | confirmed | before, s | solve, s"
+    "problem | solver | objective | flown | from the cycloid | iterations"
+    " | converged | verified | first, s | warm, s"
 )
 
 
 class Case(NamedTuple):
     """A showpiece and the example it is.
 
-    - `measure`: what is minimized, of OpenSCvx's final values by name.
+    - `states`, `controls`: OpenSCvx's names in jaxscp's order. `columns`: of the
+        controls, where jaxscp has fewer.
+    - `goal`: the last value of which state counts, and its sign.
+    - `ways`: options of the peer by name.
     """
 
     make: Callable[[], Showpiece]
     example: str
-    measure: Callable[[dict], float]
+    states: tuple[str, ...]
+    controls: tuple[str, ...]
+    goal: tuple[str, float]
+    columns: slice = slice(None)
+    ways: dict[str, tuple[str, ...]] = {"OpenSCvx": ()}  # noqa: RUF012  (immutable)
 
 
+MOTION, BODY = ("position", "velocity"), ("attitude", "angular_velocity")
+SOONEST, HEAVIEST = ("time", 1.0), ("mass", -1.0)
 CASES = {
     "brachistochrone": Case(
-        brachistochrone, "abstract/brachistochrone.py", lambda last: last["time"][0]
+        brachistochrone, "abstract/brachistochrone.py", MOTION, ("theta",), SOONEST
     ),
-    "drone": Case(drone, "drone/obstacle_avoidance.py", lambda last: last["time"][0]),
+    "drone": Case(
+        drone,
+        "drone/obstacle_avoidance.py",
+        (*MOTION, *BODY),
+        ("thrust_force", "torque"),
+        SOONEST,
+        slice(2, None),
+    ),
     "landing-3dof": Case(
-        landing_3dof, "rocket/3DoF_pdg.py", lambda last: -last["mass"][0]
+        landing_3dof,
+        "rocket/3DoF_pdg.py",
+        (*MOTION, "mass"),
+        ("thrust",),
+        HEAVIEST,
+        ways={"OpenSCvx": (), "OpenSCvx, 64 bits": ("--double",)},
     ),
     "landing-6dof": Case(
-        landing_6dof, "rocket/6DoF_pdg.py", lambda last: -last["mass"][0]
+        landing_6dof,
+        "rocket/6DoF_pdg.py",
+        ("mass", *MOTION, *BODY),
+        ("thrust",),
+        HEAVIEST,
+        ways={"OpenSCvx, interpreted": ("--interpreted",)},
     ),
 }
 
 
 def ours(case: Case, repeats: int) -> dict:
     """How jaxscp ends, and whether limits hold between the nodes, too."""
-    problem, guess, discretization, known = case.make()
+    showpiece = case.make()
+    problem, guess, discretization, _ = showpiece
     found = timed_solve(problem, guess, repeats, discretization=discretization)
     checked = jaxscp.verify(problem, found.result, between=True)
     facts = facts_of(found.result)
     return {
         **facts,
-        "error": None if known is None else facts["objective"] / known - 1,
         "flown": checked.objective,
+        "error": _error(facts["objective"], showpiece),
         "verified": checked.verified,
+        "verification": str(checked),
         "cold_seconds": found.cold,
         "warm_seconds": found.warm,
         "final_time": float(found.result.trajectory.final_time),
@@ -95,44 +125,57 @@ def theirs(case: Case, python: Path, examples: Path, *options: str) -> dict:
             lines = ended.stderr.strip().splitlines() or ["nothing said"]
             return {"failed": lines[-1]}
         found = json.loads(result.read_text())
-    known = case.make().known
-    flown, nodes = (case.measure(found[ends]) for ends in ("flown", "nodes"))
+    (name, sign), showpiece = case.goal, case.make()
+    objective = sign * found["nodes"][name][-1][0]
+    checked = _verified(case, showpiece, found["nodes"])
     return {
         **found,
-        "objective": nodes,
-        "flown": flown,
-        "error": None if known is None else nodes / known - 1,
+        "objective": objective,
+        "flown": sign * found["flown"][name][0],
+        "error": _error(objective, showpiece),
+        "verified": checked.verified,
+        "verification": str(checked),
         "load": os.getloadavg()[0],
     }
 
 
-def our_line(name: str, facts: dict) -> str:
-    """A row of the table, in Markdown."""
-    ended = "polished" if facts["polished"] else "roughly"
-    return (
-        f"| {name} | jaxscp | {facts['flown']:.6g} | {facts['objective']:.6g}"
-        f" | {_share(facts['error'])}"
-        f" | {facts['iterations']} + {facts['polish_iterations']}"
-        f" | {ended if facts['converged'] else 'no'}"
-        f" | {'yes' if facts['verified'] else 'no'}"
-        f" | {facts['cold_seconds']:.1f} | {facts['warm_seconds']:.3f} |"
+def _verified(case: Case, showpiece: Showpiece, nodes: dict) -> jaxscp.Verification:
+    """The same judge's view of OpenSCvx's nodes."""
+    times = np.ravel(nodes["time"])
+    states, controls = (
+        np.concatenate([np.asarray(nodes[name]) for name in names], axis=1)
+        for names in (case.states, case.controls)
     )
+    trajectory = jaxscp.Trajectory(
+        jnp.asarray(times / times[-1]),
+        jnp.asarray(states),
+        jnp.asarray(controls[:, case.columns]),
+        jnp.asarray(times[-1]),
+    )
+    hold = showpiece.discretization.hold
+    return jaxscp.verify(showpiece.problem, trajectory, between=True, hold=hold)
 
 
-def their_line(name: str, solver: str, facts: dict) -> str:
+def _error(objective: float, showpiece: Showpiece) -> float | None:
+    return None if showpiece.known is None else objective / showpiece.known - 1
+
+
+def line(name: str, solver: str, facts: dict) -> str:
     """A row of the table, in Markdown."""
     if "failed" in facts:
         return f"| {name} | {solver} | {facts['failed']} |" + " |" * 7
+    error, steps = facts["error"], str(facts["iterations"])
+    ended = "yes" if facts["converged"] else "no"
+    if "polish_iterations" in facts:
+        steps += f" + {facts['polish_iterations']}"
+        ended += ", polished" if facts["polished"] else ""
+    first = facts.get("cold_seconds", facts.get("initialize_seconds"))
     return (
-        f"| {name} | {solver} | {facts['flown']:.6g} | {facts['objective']:.6g}"
-        f" | {_share(facts['error'])} | {facts['iterations']}"
-        f" | {'yes' if facts['converged'] else 'no'} | "
-        f" | {facts['initialize_seconds']:.1f} | {facts['solve_seconds']:.3f} |"
+        f"| {name} | {solver} | {facts['objective']:.6g} | {facts['flown']:.6g}"
+        f" | {'' if error is None else f'{error:+.1e}'} | {steps} | {ended}"
+        f" | {'yes' if facts['verified'] else 'no'}"
+        f" | {first:.1f} | {facts['warm_seconds']:.3f} |"
     )
-
-
-def _share(error: float | None) -> str:
-    return "" if error is None else f"{error:+.1e}"
 
 
 def main() -> None:
@@ -153,10 +196,10 @@ def main() -> None:
     for name in arguments.problems:
         case = CASES[name]
         row = {"problem": name, "jaxscp": ours(case, arguments.repeats)}
-        print(our_line(name, row["jaxscp"]), flush=True)
-        if python is not None:
-            row["openscvx"] = theirs(case, python, examples.resolve())
-            print(their_line(name, "OpenSCvx", row["openscvx"]), flush=True)
+        print(line(name, "jaxscp", row["jaxscp"]), flush=True)
+        for way, options in case.ways.items() if python else ():
+            row[way] = theirs(case, python, examples.resolve(), *options)
+            print(line(name, way, row[way]), flush=True)
         rows.append(row)
         if arguments.json:
             write_report(arguments.json, showpieces=rows)

@@ -1,11 +1,12 @@
 """One of OpenSCvx's own examples, for `showpieces.py`: run by the Python that has it.
 
-    python benchmarks/showpieces_peer.py EXAMPLE RESULT [--uniform] [--repeats N]
+    python benchmarks/showpieces_peer.py EXAMPLE RESULT [--double] [--interpreted]
 
 Needs neither jaxscp nor this package.
 """
 
 import argparse
+import functools
 import importlib.util
 import json
 import statistics
@@ -15,8 +16,11 @@ import types
 from importlib.metadata import version
 from pathlib import Path
 
+import openscvx
+
 # What the examples import to draw with, and never need to solve.
 DRAWING = ("examples", "examples.plotting", "examples.plotting_viser")
+PACKAGES = ("openscvx", "jax", "cvxpy", "qoco")
 
 
 class _Undrawn(types.ModuleType):
@@ -37,7 +41,7 @@ def example(path: Path):
 
 
 def solve(problem, repeats: int) -> dict:
-    """What the example ends with; objectives are of the trajectory flown again."""
+    """What the example ends with, at its nodes and flown again by OpenSCvx."""
     begun = time.perf_counter()
     problem.initialize()
     initialized = time.perf_counter() - begun
@@ -48,24 +52,18 @@ def solve(problem, repeats: int) -> dict:
         begun = time.perf_counter()
         result = problem.solve()
         seconds.append(time.perf_counter() - begun)
-    begun = time.perf_counter()
     flown = problem.post_process()
-    processed = time.perf_counter() - begun
-    last = {name: values[-1] for name, values in flown.trajectory.items()}
     residuals = (result.J_tr_history, result.J_vb_history, result.J_vc_history)
-    nodes = {name: values[-1] for name, values in flown.nodes.items()}
     return {
         "initialize_seconds": initialized,
         "first_seconds": seconds[0],
-        "solve_seconds": statistics.median(seconds[1:] or seconds),
-        "post_seconds": processed,
+        "warm_seconds": statistics.median(seconds[1:] or seconds),
         "iterations": len(result.X) - 1,
         "converged": bool(result.converged),
         "residuals": [float(last) for last in residuals],
-        "final_time": float(flown.nodes["time"][-1].item()),
-        "flown": {name: values.tolist() for name, values in last.items()},
-        "nodes": {name: values.tolist() for name, values in nodes.items()},
-        "openscvx": version("openscvx"),
+        "flown": {name: vs[-1].tolist() for name, vs in flown.trajectory.items()},
+        "nodes": {name: values.tolist() for name, values in flown.nodes.items()},
+        "versions": {package: version(package) for package in PACKAGES},
     }
 
 
@@ -73,12 +71,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("example", type=Path)
     parser.add_argument("result", type=Path)
-    parser.add_argument("--uniform", action="store_true", help="intervals all alike")
-    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--double", action="store_true", help="in 64-bit floats")
+    parser.add_argument(
+        "--interpreted", action="store_true", help="CVXPY and QOCO, no generated code"
+    )
+    parser.add_argument("--repeats", type=int, default=1)
     arguments = parser.parse_args()
+    if arguments.double:
+        openscvx.Problem = functools.partial(openscvx.Problem, float_dtype="float64")
     problem = example(arguments.example)
-    if arguments.uniform:
-        problem.settings.sim._uniform_time_grid = True
+    if arguments.interpreted:
+        problem._solver.cvxpygen = False
+        problem._solver.cvx_solver = "QOCO"
     found = solve(problem, arguments.repeats)
     arguments.result.write_text(json.dumps(found))
 
