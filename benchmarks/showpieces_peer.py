@@ -62,6 +62,7 @@ def solve(problem, repeats: int) -> dict:
         "converged": bool(result.converged),
         "residuals": [float(last) for last in residuals],
         "flown": {name: vs[-1].tolist() for name, vs in flown.trajectory.items()},
+        "largest": {name: vs.max(0).tolist() for name, vs in flown.trajectory.items()},
         "nodes": {name: values.tolist() for name, values in flown.nodes.items()},
         "versions": {package: version(package) for package in PACKAGES},
     }
