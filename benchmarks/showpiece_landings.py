@@ -16,7 +16,7 @@ from jaxscp import Bounds, OptimalControlProblem
 from .showpiece_problems import SHORTEST, Showpiece, line, turned, turning
 
 ZERO_ORDER = jaxscp.Discretization(between=2)
-# With two parts an interval the 6-DoF landing does not converge.
+# With two parts an interval no trial of the 6-DoF landing converged (README.md).
 ONE_PART = jaxscp.Discretization(jaxscp.FirstOrderHold(), between=1)
 
 
