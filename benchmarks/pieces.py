@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxscp
+from jaxscp._active_set import NewtonStep
 from jaxscp._iteration import linearized, try_step
 from jaxscp._layout import Structure
 from jaxscp._model import Model, model_curvatures
@@ -82,8 +83,9 @@ curvature = eqx.filter_jit(_parts)
 @eqx.filter_jit
 def newton(transcription, state, parts):
     """The search for Newton's step and the active constraints."""
+    start = NewtonStep.begun(state.solution, state.reach.weight)
     around = state.iterate.residuals
-    return _WithoutQP()._solve(transcription, state, around, *parts)
+    return _WithoutQP()._solve(transcription, state, around, start, *parts)
 
 
 def _convex(transcription, state, parts):

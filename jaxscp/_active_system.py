@@ -17,7 +17,8 @@ from ._damping import Damping
 from ._max_norm import max_norm
 from ._model import Model
 from ._per_constraint import PerConstraint
-from ._riccati import Factors, Forced, Program, arranged, factorize, solve
+from ._riccati import Factors, Forced, factorize, solve
+from ._stages import Chain, Matrices, Vectors
 from ._subproblem import Effort, SubproblemSolution
 from ._transcription import Residuals, Variables
 from ._types import Array, Float, Scalar
@@ -163,46 +164,70 @@ class ActiveSystem(eqx.Module):
         )
         costates = jnp.zeros_like(self.model.residuals.defects)
         begun = _Pass.begun(still, costates, pushes)
-        factors, closed = factorize(*self._left_at(begun)), _CLOSED * precision
+        chain = self._chain
+        matrices = chain.matrices(self._per_total)
+        factors = factorize(matrices, self._forced(begun))
         done = jax.lax.while_loop(
-            lambda at: at.unfinished(closed),
-            lambda at: self._refined(at, factors),
+            lambda at: at.unfinished(_CLOSED * precision),
+            lambda at: self._refined(at, chain, matrices, factors),
             begun,
         )
         solution, left = self._solution(done)
         return Solved(solution, factors.convexity, done.gap, left)
 
-    def _left_at(self, done: _Pass) -> tuple[Program, Forced]:
+    @property
+    def _chain(self) -> Chain:
+        squares = self.damping.curvature(self.model).plus(self.pull.curvature(self.model))
+        free = self.told.controls.shape[0]
+        curvature = self.model.curvature.plus(squares)
+        return Chain(self.model.derivatives, curvature, free)
+
+    def _left_at(self, done: _Pass, chain: Chain) -> Vectors:
         """What is left of every condition."""
-        step = done.step
         # Of what is soft the squares give back a part of the multiplier themselves.
         pushes = jax.tree.map(jnp.multiply, self._firmnesses, done.pushes)
-        slope = jax.grad(self._lagrangian)(step, done.costates, pushes)
-        tug = jax.grad(lambda step: self.pull.cost(self.model, step))(step)
-        squares = self.damping.curvature(self.model).plus(self.pull.curvature(self.model))
+
+        def total(step):
+            tug = self.pull.cost(self.model, step)
+            return tug + self._lagrangian(step, done.costates, pushes)
+
         # The recursion's totals are those of the change: what the step gains already
         # is part of the slope. Told again in every pass it would be rounded again.
-        after = self.model.linear(step)
+        after = self.model.linear(done.step)
         still = jnp.zeros_like(after.increments)
-        program = arranged(
+        return chain.vectors(
             dataclasses.replace(after, increments=still),
-            self.model.derivatives,
-            self.model.curvature.plus(squares),
-            jax.tree.map(jnp.add, slope, tug),
-            (self._per_total, jnp.zeros_like(self._per_total)),
+            jax.grad(total)(done.step),
+            jnp.zeros_like(self._per_total),
         )
-        to_go = jax.tree.map(jnp.subtract, self.pull.centre, step)
-        return program, _forced(self.told, to_go, done.pushes.integral.size)
+
+    def _forced(self, done: _Pass) -> Forced:
+        """What the recursion does not choose: which variables, and what they are."""
+        told, totals = self.told, done.pushes.integral.size
+        to_go = jax.tree.map(jnp.subtract, self.pull.centre, done.step)
+        own = int(told.controls.shape[0] == told.states.shape[0])
+
+        def first(values: Variables, sums: Array) -> Array:
+            held = values.controls[:own].ravel()
+            time = values.final_time[None]
+            return jnp.concatenate([values.states[0], held, sums, time])
+
+        return Forced(
+            (first(told, jnp.ones(totals)), first(to_go, jnp.zeros(totals))),
+            (told.controls[own:], to_go.controls[own:]),
+        )
 
     @property
     def _per_total(self) -> Float[Array, " q"]:
         """Second derivatives by the integrals' totals."""
         return self.damping.integral + self.pull.integral
 
-    def _refined(self, done: _Pass, factors: Factors) -> _Pass:
+    def _refined(
+        self, done: _Pass, chain: Chain, matrices: Matrices, factors: Factors
+    ) -> _Pass:
         """One pass more: it starts from what the one before has left."""
-        program, forced = self._left_at(done)
-        y, decisions, costates = solve(program, forced, factors)
+        vectors, forced = self._left_at(done, chain), self._forced(done)
+        y, decisions, costates = solve(matrices, vectors, forced, factors)
         n, q = done.step.states.shape[1], done.pushes.integral.size
         m = done.step.controls.shape[1]
         if done.step.controls.shape[0] > decisions.shape[0]:
@@ -287,17 +312,3 @@ def _unexplained(side: Array, weight: Array, push: Array, missing: Array) -> Arr
     share = jnp.abs(side)
     allowed = push * (1.0 - share) / jnp.where(share > 0.0, share, 1.0)
     return jnp.where(weight > 0.0, missing - allowed, 0.0)
-
-
-def _forced(told: Variables, to_go: Variables, totals: int) -> Forced:
-    """What the recursion does not choose: which variables, and what they are."""
-    own = int(told.controls.shape[0] == told.states.shape[0])
-
-    def first(values: Variables, sums: Array) -> Array:
-        held = values.controls[:own].ravel()
-        return jnp.concatenate([values.states[0], held, sums, values.final_time[None]])
-
-    return Forced(
-        (first(told, jnp.ones(totals)), first(to_go, jnp.zeros(totals))),
-        (told.controls[own:], to_go.controls[own:]),
-    )

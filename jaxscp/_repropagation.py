@@ -17,7 +17,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from scipy.integrate import DOP853
 
 from ._problem import OptimalControlProblem
 
@@ -211,6 +210,9 @@ def _integrate(
     first_step: float,
 ) -> tuple[Float[np.ndarray, "S w"], float, int]:
     """DOP853 from 0 to 1, sampled at `fractions`; NaN if it does not get there."""
+    # Here, as it takes half a second, and most who import jaxscp do not verify at once.
+    from scipy.integrate import DOP853
+
     samples = np.full((fractions.size, initial.size), np.nan)
     if not np.all(np.isfinite(initial)):
         return samples, FIRST_STEP, 0

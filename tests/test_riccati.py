@@ -1,6 +1,5 @@
 """The recursion along the dynamics against the whole system of equations."""
 
-import functools
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,7 +14,8 @@ from random_models import M, N, Q, random_model
 from scipy.linalg import null_space
 
 from jaxscp._model import Model, cost_gradient
-from jaxscp._riccati import Factors, Forced, arranged, factorize, solve
+from jaxscp._riccati import Factors, Forced, factorize, solve
+from jaxscp._stages import Chain
 from jaxscp._transcription import Variables
 
 pytestmark = pytest.mark.xdist_group("subproblem")
@@ -74,20 +74,13 @@ def forced(task: Task) -> Forced:
 def answer(task: Task) -> tuple[Factors, tuple[jax.Array, jax.Array, jax.Array]]:
     """Factors of the matrices alone, and what they make of the right-hand sides."""
     model, told = task.model, forced(task)
-    of_model = (model.derivatives, model.curvature)
-    gradient, totals = cost_gradient(model.derivatives), (task.second, task.first)
-    program = arranged(model.residuals, *of_model, gradient, totals)
-    nothing = functools.partial(jax.tree.map, jnp.zeros_like)
-    matrices = arranged(
-        nothing(model.residuals),
-        *of_model,
-        nothing(gradient),
-        (task.second, nothing(task.first)),
-    )
-    pairs = (told.first, told.controls)
-    still = Forced(*((mask, nothing(target)) for mask, target in pairs))
-    factors = factorize(matrices, still)
-    return factors, solve(program, told, factors)
+    free = task.told.controls.shape[0]
+    chain = Chain(model.derivatives, model.curvature, free)
+    matrices = chain.matrices(task.second)
+    gradient = cost_gradient(model.derivatives)
+    vectors = chain.vectors(model.residuals, gradient, task.first)
+    factors = factorize(matrices, told)
+    return factors, solve(matrices, vectors, told, factors)
 
 
 def written_out(task: Task) -> tuple[Dense, np.ndarray]:
