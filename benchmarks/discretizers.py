@@ -23,6 +23,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from jaxscp import Discretization, OptimalControlProblem, Quadrature
+from jaxscp._compiler import compiler_options
 from jaxscp._flow import Flow
 from jaxscp._intervals import linearize
 
@@ -107,7 +108,9 @@ def jaxscp(case: Case, substeps: int, batch: int | None = None) -> Prepared:
         return block.at[:, 0].divide(case.mission["data_required"])
 
     if batch is None:
-        return _compiled(discretized, case, arranged, jnp.asarray(substeps))
+        return _compiled(
+            discretized, case, arranged, jnp.asarray(substeps), options=compiler_options()
+        )
 
     together = jax.vmap(discretized, in_axes=(0, None, None, None))
     many = case._replace(states=np.tile(case.states, (batch, 1, 1)))
@@ -149,7 +152,7 @@ def with_diffrax(case: Case, substeps: int) -> Prepared:
     return _compiled(discretized, case, lambda found: tuple(map(np.asarray, found)))
 
 
-def _compiled(function, case: Case, arranged, *others) -> Prepared:
+def _compiled(function, case: Case, arranged, *others, options=None) -> Prepared:
     arguments = (
         jnp.asarray(case.states),
         jnp.asarray(case.controls),
@@ -157,7 +160,7 @@ def _compiled(function, case: Case, arranged, *others) -> Prepared:
         *others,
     )
     begun = time.perf_counter()
-    program = jax.jit(function).lower(*arguments).compile()
+    program = jax.jit(function, compiler_options=options).lower(*arguments).compile()
     return Prepared(lambda: program(*arguments), arranged, time.perf_counter() - begun)
 
 

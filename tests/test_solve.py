@@ -457,12 +457,13 @@ def test_a_batch_is_a_loop():
             np.testing.assert_allclose(mine, other, rtol=1e-12, atol=1e-12)
 
 
-def test_new_numbers_compile_nothing():
+# JAX's own are strongly typed, or weakly as Python's are.
+@pytest.mark.parametrize("number", [np.float64, jnp.float64, jnp.asarray])
+def test_new_numbers_compile_nothing(number):
     limits = {"fence": (-1.0, 4.0), "travel": (1.0, 10.0), "final_time": (2.0, 5.0)}
     problem = cart(3.5, **limits)
-    # NumPy's numbers are parameters like JAX's.
     problem = eqx.tree_at(
-        lambda problem: problem.dynamics.function.drag, problem, np.float64(0.15)
+        lambda problem: problem.dynamics.function.drag, problem, number(0.15)
     )
     guess = jaxscp.straight_line(problem, np.array(UNEVEN), final_time=3.0)
     first = converged()
