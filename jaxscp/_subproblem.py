@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import hashlib
 
 import equinox as eqx
 import jax
@@ -13,6 +14,7 @@ from ._assembly import subproblem_solver
 from ._bounds import Bounds
 from ._constraints import integral_limits
 from ._damping import Damping
+from ._host import call_on_host
 from ._layout import Structure
 from ._model import Model
 from ._per_constraint import PerConstraint
@@ -145,19 +147,19 @@ def solve_subproblem(
     answer, unravel = ravel_pytree(SubproblemSolution.none(structure))
     # One vector each way: an array passed to the host costs as much as a thousand of
     # its numbers.
-    vector = jax.pure_callback(
-        functools.partial(_on_host, structure, settings, Outline.of(data)),
-        jax.ShapeDtypeStruct(answer.shape, answer.dtype),
+    told = (structure, settings, Outline.of(data))
+    vector = call_on_host(
+        f"jaxscp_subproblem_{hashlib.sha256(repr(told).encode()).hexdigest()}",
+        functools.partial(_on_host, *told),
+        answer.size,
         jnp.concatenate([jnp.ravel(leaf) for leaf in jax.tree.leaves(data)]),
-        vmap_method="sequential",
     )
     return unravel(vector)
 
 
 def _on_host(
-    structure: Structure, settings: PIQP, outline: Outline, flat: Array
+    structure: Structure, settings: PIQP, outline: Outline, numbers: np.ndarray
 ) -> np.ndarray:
-    numbers = np.asarray(flat)
     solver = subproblem_solver(structure, settings, outline)
     answer, effort = solver(numbers)
     if not solver.would_relax(numbers, answer):

@@ -182,8 +182,12 @@ def test_a_pattern_is_set_up_once(monkeypatch):
 
 
 def test_other_blocks_are_another_structure():
-    """Solvers are kept by structure: one of another pattern would spoil the numbers."""
-    assert len(set(map(structure_of, DISCRETIZATIONS))) == len(DISCRETIZATIONS)
+    """Solvers are kept by structure: one of another pattern would spoil the numbers. On
+    the host they are found by its text, the same in every process.
+    """
+    every = list(map(structure_of, DISCRETIZATIONS))
+    assert len(set(every)) == len(set(map(repr, every))) == len(DISCRETIZATIONS)
+    assert not any(" at 0x" in repr(each) for each in every)
 
 
 @pytest.mark.parametrize("options", [{}, {"relaxed": True}, {"ball": True}], ids=str)
