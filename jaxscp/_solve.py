@@ -130,8 +130,11 @@ def solve(
 
 def _as_parameter(leaf: Any) -> Any:
     """NumPy arrays are parameters, too. Weakly typed ones would compile anew."""
-    if isinstance(leaf, (np.ndarray, np.generic, jax.Array)):
-        return jnp.asarray(leaf, leaf.dtype)
+    if isinstance(leaf, (np.ndarray, np.generic)):
+        return jnp.asarray(leaf)
+    if isinstance(leaf, jax.Array) and leaf.weak_type:
+        # By NumPy where it can be: JAX would compile a program to convert it.
+        return jnp.asarray(np.asarray(leaf) if is_concrete(leaf) else leaf, leaf.dtype)
     return leaf
 
 

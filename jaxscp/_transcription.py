@@ -176,14 +176,10 @@ class Transcription(eqx.Module):
         intervals = propagate(flow, *self._arguments(variables))
         return self._residuals(variables, intervals)
 
-    @eqx.filter_jit
     def linearize(
         self, variables: Variables, substeps: Array | int
     ) -> tuple[Residuals, Derivatives]:
-        """Values and first derivatives, all intervals and nodes at once.
-
-        Jitted to be traced once, though its shapes are asked for as well.
-        """
+        """Values and first derivatives, all intervals and nodes at once."""
         intervals, jacobians = linearize(self.flow(substeps), *self._arguments(variables))
         derivatives = Derivatives(jacobians, self.linearize_nodes(variables))
         return self._residuals(variables, intervals), derivatives

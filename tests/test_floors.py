@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parents[1] / "jaxscp"
 # by the empty one.
 FLOORS = (
     {"_types", "_records", "plot._style"},
-    {"_loop", "_nonlinear", "_tree"},
+    {"_compiler", "_host", "_loop", "_nonlinear", "_tree"},
     {"_status", "_bounds", "_hold", "_qp", "_packed"},
     {"_direction"},
     {"models._parameters", "models._smooth"},
@@ -24,8 +24,8 @@ FLOORS = (
     {"_flow", "verify"},
     {"_intervals", "_second_order"},
     {"_transcription"},
-    {"_lagrangian", "_layout", "_riccati"},
-    {"_scaling"},
+    {"_lagrangian", "_layout", "_stages"},
+    {"_riccati", "_scaling"},
     {"_constraints", "_model"},
     {"_damping", "_merit"},
     {"_subproblem_data"},
