@@ -129,13 +129,12 @@ def solve(
 
 
 def _as_parameter(leaf: Any) -> Any:
-    """NumPy arrays are parameters, too. Weakly typed ones would compile anew."""
-    if isinstance(leaf, (np.ndarray, np.generic)):
-        return jnp.asarray(leaf)
-    if isinstance(leaf, jax.Array) and leaf.weak_type:
-        # By NumPy where it can be: JAX would compile a program to convert it.
-        return jnp.asarray(np.asarray(leaf) if is_concrete(leaf) else leaf, leaf.dtype)
-    return leaf
+    """NumPy's numbers are parameters, too. Weakly typed ones would compile anew."""
+    weak = isinstance(leaf, jax.Array) and leaf.weak_type
+    if not weak and not isinstance(leaf, (np.ndarray, np.generic)):
+        return leaf
+    # As NumPy's arrays where they can be: JAX compiles a program to convert others.
+    return jnp.asarray(np.asarray(leaf) if is_concrete(leaf) else leaf, leaf.dtype)
 
 
 def _best(
