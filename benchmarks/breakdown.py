@@ -6,8 +6,6 @@ it. Milliseconds are sums over all iterates, without what calling a program cost
 """
 
 import argparse
-import statistics
-import time
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
@@ -24,8 +22,8 @@ from jaxscp._subproblem_data import Outline
 from jaxscp._transcription import Transcription
 
 from . import pieces
-from .report import write_report
-from .timing import timed_solve
+from .report import table_head, write_report
+from .timing import timed, timed_solve
 
 MISSIONS = ("free-flight", "free-space-30MB-60dB", "urban-30MB-60dB")
 # Calls whose median counts.
@@ -57,13 +55,7 @@ class Ledger:
 
 
 def median(call: Callable[[], Any]) -> float:
-    seconds = []
-    jax.block_until_ready(call())
-    for _ in range(CALLS):
-        begun = time.perf_counter()
-        jax.block_until_ready(call())
-        seconds.append(time.perf_counter() - begun)
-    return statistics.median(seconds)
+    return timed(call, CALLS).warm
 
 
 def replayed(transcription: Transcription, guess: jaxscp.Trajectory) -> Ledger:
@@ -169,8 +161,7 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="where to write the numbers")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    print("| mission | piece | calls | ms each | ms | share |")
-    print("|---|---|---|---|---|---|")
+    print(table_head("mission | piece | calls | ms each | ms | share"))
     rows = []
     for name in arguments.missions:
         rows.append(measure(name, arguments.repeats))

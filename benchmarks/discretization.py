@@ -18,7 +18,7 @@ from jaxscp import missions
 
 from .discretizers import DISCRETIZERS, Case, Prepared, jaxscp, reference
 from .over_nodes import FIGURES, finish
-from .report import write_report
+from .report import table_head, write_report
 from .timing import median_seconds
 
 NODES = (25, 100, 1000, 10_000)
@@ -158,7 +158,7 @@ def main() -> None:
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     headings = "integrals | discretizer | N | substeps | ms | error | compile, s"
-    print(f"| {headings} |\n" + "|" + "---|" * len(headings.split("|")))
+    print(table_head(headings))
     rows = rows_of(arguments.mission, False, arguments.slow)
     rows += rows_of(arguments.mission, True, arguments.slow)
     print(*ratios(rows), sep="\n")

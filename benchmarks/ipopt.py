@@ -19,7 +19,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from .report import write_report
+from .report import table_head, write_report
 
 # Mission to quadrature. Literal missions mean nothing along the flow with limits at the
 # nodes alone.
@@ -119,8 +119,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=7, help="warm solves of jaxscp")
     parser.add_argument("--json", type=Path, help="where to write the numbers")
     arguments = parser.parse_args()
-    print(f"| {HEADINGS} |")
-    print("|---" * (HEADINGS.count("|") + 1) + "|")
+    print(table_head(HEADINGS))
     cases = []
     for name in arguments.missions:
         rest = (arguments.limit, arguments.nodes, arguments.repeats)

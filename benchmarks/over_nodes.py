@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from .report import write_report
+from .report import table_head, write_report
 
 FIGURES = Path(__file__).parent / "figures"
 MISSIONS = ("free-flight", "free-space-30MB-60dB")
@@ -49,8 +49,7 @@ def measured(
     parser.add_argument("--figure", type=Path, help="where to draw it", default=figure)
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    print(f"| {headings} |")
-    print("|" + "---|" * len(headings.split("|")))
+    print(table_head(headings))
     rows: dict[str, list[dict]] = {mission: [] for mission in arguments.missions}
     for count in arguments.nodes:
         for mission, own in rows.items():

@@ -38,6 +38,11 @@ def cells(facts: dict) -> str:
     )
 
 
+def table_head(headings: str) -> str:
+    """The first two lines of a table in Markdown, from what is between its outer bars."""
+    return f"| {headings} |\n{'|---' * (headings.count('|') + 1)}|"
+
+
 def write_report(path: Path, **numbers) -> None:
     """Numbers as JSON, with the machine and the versions that gave them."""
     facts = {

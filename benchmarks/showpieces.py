@@ -26,7 +26,7 @@ import numpy as np
 
 import jaxscp
 
-from .report import facts_of, write_report
+from .report import facts_of, table_head, write_report
 from .showpiece_landings import landing_3dof, landing_6dof
 from .showpiece_problems import Showpiece, brachistochrone, drone
 from .timing import timed_solve
@@ -173,8 +173,7 @@ def main() -> None:
     if (python is None) != (examples is None):
         parser.error("give --openscvx-python and --openscvx-examples, or neither.")
     jax.config.update("jax_enable_x64", True)
-    print(f"| {HEADINGS} |")
-    print("|---" * (HEADINGS.count("|") + 1) + "|")
+    print(table_head(HEADINGS))
     rows = []
     for name in arguments.problems:
         case = CASES[name]

@@ -21,9 +21,10 @@ import jax.numpy as jnp
 
 import jaxscp
 from jaxscp import missions
+from jaxscp._transcription import held
 
 from .missions import BEST_KNOWN
-from .report import write_report
+from .report import table_head, write_report
 
 MISSIONS = ("free-flight", "free-space-30MB-60dB", "urban-30MB-60dB")
 EQUAL = 0.005
@@ -67,14 +68,11 @@ def judged(problem: jaxscp.OptimalControlProblem, guess, facts: dict) -> dict:
     found = facts.pop("found")
     if found is None:
         return facts
-    controls = jnp.asarray(found["controls"])
-    # IPOPT has no control for the last node: it borrows the one before.
-    missing = guess.nodes - controls.shape[0]
-    controls = jnp.concatenate([controls, jnp.repeat(controls[-1:], missing, axis=0)])
     trajectory = jaxscp.Trajectory(
         guess.fractions,
         jnp.asarray(found["states"]),
-        controls,
+        # IPOPT has no control for the last node.
+        held(jnp.asarray(found["controls"]), guess.nodes),
         jnp.asarray(found["final_time"]),
     )
     checked = jaxscp.verify(problem, trajectory)
@@ -143,6 +141,8 @@ def main() -> None:
     parser.add_argument(
         "--openscvx-python", help="an interpreter that has OpenSCvx 0.5.2"
     )
+    every = [*OURS, *IPOPT, *OPENSCVX]
+    parser.add_argument("--solvers", nargs="*", default=every, choices=every)
     parser.add_argument("--limit", type=float, default=120.0, help="of a peer [s]")
     parser.add_argument("--repeats", type=int, default=7, help="warm solves of jaxscp")
     parser.add_argument("--json", type=Path, help="where to write the numbers")
@@ -152,7 +152,7 @@ def main() -> None:
         print("OpenSCvx is left out: no --openscvx-python was given.\n")
     rows = []
     for name in arguments.missions:
-        print(f"{name}:\n\n| {HEADINGS} |\n{'|---' * (HEADINGS.count('|') + 1)}|")
+        print(f"{name}:\n\n{table_head(HEADINGS)}")
         own = measure(name, arguments)
         print(*map(line, own), "", sep="\n", flush=True)
         rows += own

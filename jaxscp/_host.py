@@ -24,14 +24,18 @@ _POINTER, _INT, _SIZE = ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t
 _registered: dict[str, Any] = {}
 
 
+class _Header(ctypes.Structure):
+    """What most of the interface's structures begin with."""
+
+    _fields_ = [("struct_size", _SIZE), ("extensions", _POINTER)]
+
+
 class _Extension(ctypes.Structure):
     _fields_ = [("struct_size", _SIZE), ("type", _INT), ("next", _POINTER)]
 
 
-class _Version(ctypes.Structure):
+class _Version(_Header):
     _fields_ = [
-        ("struct_size", _SIZE),
-        ("extensions", _POINTER),
         ("major", _INT),
         ("minor", _INT),
     ]
@@ -45,20 +49,16 @@ class _MetadataExtension(ctypes.Structure):
     _fields_ = [("base", _Extension), ("metadata", ctypes.POINTER(_Metadata))]
 
 
-class _Buffers(ctypes.Structure):
+class _Buffers(_Header):
     _fields_ = [
-        ("struct_size", _SIZE),
-        ("extensions", _POINTER),
         ("size", ctypes.c_int64),
         ("types", _POINTER),
         ("items", ctypes.POINTER(_POINTER)),
     ]
 
 
-class _Buffer(ctypes.Structure):
+class _Buffer(_Header):
     _fields_ = [
-        ("struct_size", _SIZE),
-        ("extensions", _POINTER),
         ("dtype", _INT),
         ("data", _POINTER),
         ("rank", ctypes.c_int64),
@@ -66,10 +66,8 @@ class _Buffer(ctypes.Structure):
     ]
 
 
-class _Error(ctypes.Structure):
+class _Error(_Header):
     _fields_ = [
-        ("struct_size", _SIZE),
-        ("extensions", _POINTER),
         ("message", ctypes.c_char_p),
         ("code", _INT),
     ]
@@ -78,20 +76,16 @@ class _Error(ctypes.Structure):
 _CREATE_ERROR = ctypes.CFUNCTYPE(_POINTER, ctypes.POINTER(_Error))
 
 
-class _Api(ctypes.Structure):
+class _Api(_Header):
     _fields_ = [
-        ("struct_size", _SIZE),
-        ("extensions", _POINTER),
         ("version", _Version),
         ("internal", _POINTER),
         ("create_error", _CREATE_ERROR),
     ]
 
 
-class _CallFrame(ctypes.Structure):
+class _CallFrame(_Header):
     _fields_ = [
-        ("struct_size", _SIZE),
-        ("extensions", _POINTER),
         ("api", ctypes.POINTER(_Api)),
         ("context", _POINTER),
         ("stage", _INT),

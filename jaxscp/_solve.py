@@ -177,14 +177,13 @@ def _from(
     numbers, guess = constant((transcription, guess))
     # Only what is compiled by itself may have options of its own.
     alone = is_concrete(eqx.filter((numbers, guess, attempt), eqx.is_array))
-    run_compiled = _run_alone() if alone else _run
-    solution = run_compiled(method, numbers, guess, attempt, progress)
+    solution = _compiled(alone)(method, numbers, guess, attempt, progress)
     if is_concrete(eqx.filter(transcription, eqx.is_array)):
         return solution
     return differentiable(transcription, solution, smoothing)
 
 
-def _from_here(
+def _run(
     method: AbstractSCP,
     transcription: Transcription,
     guess: Trajectory,
@@ -204,11 +203,8 @@ def _from_here(
     return outcome(transcription, *one(arrays))
 
 
-_run = eqx.filter_jit(_from_here)
-
-
 @functools.cache
-def _run_alone() -> Callable[..., Solution]:
+def _compiled(alone: bool) -> Callable[..., Solution]:
     # Equinox passes on what its signature does not name.
-    options: dict[str, Any] = {"compiler_options": compiler_options()}
-    return eqx.filter_jit(_from_here, **options)
+    options: dict[str, Any] = {"compiler_options": compiler_options()} if alone else {}
+    return eqx.filter_jit(_run, **options)
