@@ -23,8 +23,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     import jax
 
     from ._cli import _commands
+    from ._cli._cache import keep_programs
 
     jax.config.update("jax_enable_x64", True)
+    keep_programs()
     try:
         return getattr(_commands, arguments.command)(arguments)
     except (InputError, OSError) as error:

@@ -116,7 +116,24 @@ def call_on_host(
     return jax.pure_callback(function, shape, vector, vmap_method="sequential")
 
 
-def _is_registered(name: str, function: Callable[[np.ndarray], np.ndarray]) -> bool:
+def tell_host(
+    name: str, function: Callable[[np.ndarray], None], vector: Float[Array, " a"]
+) -> None:
+    """Call a Python function for what it does, not for what it returns: nothing.
+
+    **Arguments:**
+
+    - `name`: as in [`call_on_host`][].
+    """
+    assert vector.dtype == np.float64
+    if _is_registered(name, function):
+        tell = jax.ffi.ffi_call(name, (), has_side_effect=True, vmap_method="sequential")
+        tell(vector)
+    else:
+        jax.debug.callback(function, vector)
+
+
+def _is_registered(name: str, function: Callable[[np.ndarray], Any]) -> bool:
     """Whether XLA now knows it by its name."""
     if jax.default_backend() != "cpu":
         return False
@@ -132,7 +149,7 @@ def _is_registered(name: str, function: Callable[[np.ndarray], np.ndarray]) -> b
     return True
 
 
-def _handler(function: Callable[[np.ndarray], np.ndarray]) -> Callable:
+def _handler(function: Callable[[np.ndarray], Any]) -> Callable:
     def handle(frame):
         frame = frame.contents
         if frame.extensions:
@@ -140,7 +157,9 @@ def _handler(function: Callable[[np.ndarray], np.ndarray]) -> Callable:
         if frame.stage != _EXECUTE:
             return None
         try:
-            _vector(frame.results)[:] = function(_vector(frame.arguments).copy())
+            answer = function(_vector(frame.arguments).copy())
+            if frame.results.size:
+                _vector(frame.results)[:] = answer
         except BaseException:
             return _failed(frame, traceback.format_exc())
         return None

@@ -106,7 +106,8 @@ def linearize(
             ends = held[1] if two_sided else right
             course = flow.over(Span(start, width, held[0], ends, time), x)
             values = (course.ending, course.growth, course.peaks.values.ravel())
-            return jnp.concatenate(values)
+            # XLA aborts where an empty part is taken of what an empty one was joined to.
+            return jnp.concatenate([value for value in values if value.size])
 
         held = (left, right) if two_sided else (left,)
         return _value_and_jacobian(ends, (x, final_time, *held))

@@ -4,11 +4,14 @@ Everything here runs on the host, in NumPy; `_subproblem` calls it from JAX.
 """
 
 import dataclasses
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import numpy as np
 import piqp
-from scipy.sparse import csc_matrix
+
+if TYPE_CHECKING:
+    from scipy.sparse import csc_matrix
 
 
 @dataclasses.dataclass
@@ -18,11 +21,11 @@ class QP:
     `P` is given by its upper triangle.
     """
 
-    P: csc_matrix
+    P: "csc_matrix"
     c: np.ndarray
-    A: csc_matrix
+    A: "csc_matrix"
     b: np.ndarray
-    G: csc_matrix
+    G: "csc_matrix"
     h: np.ndarray
     lower: np.ndarray
     upper: np.ndarray

@@ -1,7 +1,6 @@
 """What an SCP method is, the loop that runs it, and how a solve ends."""
 
 import abc
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -9,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from ._constraints import integral_limits, largest_buffer, violations
+from ._progress import tell
 from ._state import SCPState
 from ._status import Status
 from ._transcription import Transcription, Variables
@@ -75,24 +75,23 @@ def run(
     method: AbstractSCP,
     transcription: Transcription,
     guess: Variables,
-    progress: Callable[[dict], None] | None = None,
+    listener: Array | None = None,
     attempt: ArrayLike = 0,
 ) -> tuple[SCPState, Status]:
     """Iterate until the method terminates, in one compiled loop.
 
-    `progress` is told which `attempt` this is.
+    The `listener` (`_progress`) is told which `attempt` this is.
     """
 
     def report(state: SCPState) -> None:
-        assert progress is not None
+        assert listener is not None
         record = jax.tree.map(lambda h: h[state.records - 1], state.history)
         values = {name: getattr(record, name) for name in vars(record)}
-        count = state.iterations + state.polish
-        jax.debug.callback(progress, {"attempt": attempt, "iteration": count, **values})
+        tell(listener, attempt, state.iterations + state.polish, values)
 
     def body(state: SCPState) -> SCPState:
         after = method.step(transcription, state)
-        if progress is not None:
+        if listener is not None:
             # The last look may find nothing left to do.
             tried = after.records > state.records
             jax.lax.cond(tried, report, lambda _: None, after)

@@ -17,6 +17,7 @@ from ._discretization import Discretization
 from ._free_intervals import lifted, lowered
 from ._outcome import differentiable, outcome
 from ._problem import OptimalControlProblem
+from ._progress import listener
 from ._proximal import ProximalSCP
 from ._scp import AbstractSCP, run
 from ._smoothing import check_smoothing
@@ -87,8 +88,7 @@ def solve(
         continuous without.
     - `progress`: called after every iteration with a dictionary of its numbers: the
         fields of [`History`][], `iteration`, and `attempt`: which of the guesses it
-        started from, counted from 0. Pass the same function each time: a new one
-        compiles anew.
+        started from, counted from 0.
     - `throw`: raise if no guess leads to convergence. With `throw=False` the solution
         says so in its status and holds the last iterate.
 
@@ -113,7 +113,7 @@ def solve(
     none = is_concrete(smoothing) and not smoothing
     # Decided here: an array made while others are traced has no value to ask for.
     tau = None if none else jnp.asarray(smoothing, float)
-    solution = _best(method, transcription, constant(guesses), tau, progress)
+    solution = _best(method, transcription, constant(guesses), tau, listener(progress))
     if is_concrete(solution.optimality):
         jax.block_until_ready(solution.optimality)
         elapsed = jnp.asarray(time.perf_counter() - begun)
@@ -142,16 +142,16 @@ def _best(
     transcription: Transcription,
     guesses: tuple[Trajectory, ...],
     smoothing: Scalar | None,
-    progress: Callable[[dict], None] | None,
+    told: Array | None,
 ) -> Solution:
     """The best of what the guesses lead to, all through one compiled program."""
 
     def attempt(index, guess):
         index = jnp.asarray(index)
         if transcription.discretization.interval_ratio is None:
-            return _from(method, transcription, guess, smoothing, index, progress)
+            return _from(method, transcription, guess, smoothing, index, told)
         paced = lifted(transcription, guess)
-        solution = _from(method, *paced, smoothing, index, progress)
+        solution = _from(method, *paced, smoothing, index, told)
         return lowered(solution, transcription.problem)
 
     if len(guesses) == 1:
@@ -171,13 +171,13 @@ def _from(
     guess: Trajectory,
     smoothing: Scalar | None,
     attempt: Array,
-    progress: Callable[[dict], None] | None,
+    told: Array | None,
 ) -> Solution:
     """What one guess leads to, as a function of the problem but not of the guess."""
     numbers, guess = constant((transcription, guess))
     # Only what is compiled by itself may have options of its own.
-    alone = is_concrete(eqx.filter((numbers, guess, attempt), eqx.is_array))
-    solution = _compiled(alone)(method, numbers, guess, attempt, progress)
+    alone = is_concrete(eqx.filter((numbers, guess, attempt, told), eqx.is_array))
+    solution = _compiled(alone)(method, numbers, guess, attempt, told)
     if is_concrete(eqx.filter(transcription, eqx.is_array)):
         return solution
     return differentiable(transcription, solution, smoothing)
@@ -188,17 +188,17 @@ def _run(
     transcription: Transcription,
     guess: Trajectory,
     attempt: Array,
-    progress: Callable[[dict], None] | None,
+    told: Array | None,
 ) -> Solution:
-    arrays, rest = eqx.partition((transcription, guess, attempt), eqx.is_array)
+    arrays, rest = eqx.partition((transcription, guess, attempt, told), eqx.is_array)
 
     # A batch shares nothing but its pattern: one after another, each element iterates
     # as often as it needs and none waits for, or spoils, another.
     @jax.custom_batching.sequential_vmap
     def one(arrays):
-        transcription, guess, attempt = eqx.combine(arrays, rest)
+        transcription, guess, attempt, told = eqx.combine(arrays, rest)
         variables = transcription.variables(guess)
-        return run(method, transcription, variables, progress, attempt)
+        return run(method, transcription, variables, told, attempt)
 
     return outcome(transcription, *one(arrays))
 

@@ -2,6 +2,7 @@
 
 import gc
 import os
+import tempfile
 from pathlib import Path
 
 # What runs a few times takes longer to optimize than to run, and splitting a program to
@@ -12,6 +13,12 @@ os.environ.setdefault(
     "--xla_backend_optimization_level=0 --xla_cpu_use_fusion_emitters=false "
     "--xla_cpu_parallel_codegen_split_count=1",
 )
+
+# Workers, and the processes that tests start, take from each other what they compiled.
+# The first to get here makes the folder, and removes it.
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    programs = tempfile.TemporaryDirectory(prefix="jaxscp-programs-")
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = programs.name
 
 import hypothesis
 import jax

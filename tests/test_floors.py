@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "jaxscp"
 FLOORS = (
     {"_types", "_records", "plot._style"},
     {"_compiler", "_host", "_loop", "_nonlinear", "_tree"},
-    {"_status", "_bounds", "_hold", "_qp", "_packed"},
+    {"_status", "_bounds", "_hold", "_progress", "_qp", "_packed"},
     {"_direction"},
     {"models._parameters", "models._smooth"},
     {"_attempt", "_curvature", "_max_norm", "_per_constraint"},
@@ -51,7 +51,7 @@ FLOORS = (
     {"plot._mission"},
     {"plot"},
     {""},
-    {"_files", "_cli._arguments", "_cli._report", "_cli._timing"},
+    {"_files", "_cli._arguments", "_cli._cache", "_cli._report", "_cli._timing"},
     {"_cli._commands"},
     {"_cli"},
     {"__main__"},

@@ -147,14 +147,14 @@ def interrupted() -> tuple[jaxscp.Solution, tuple[dict, ...]]:
     return recorded(jaxscp.straight_line(cart(), UNEVEN))
 
 
-def recorded(guess) -> tuple[jaxscp.Solution, tuple[dict, ...]]:
+def recorded(guess, listener=RECORDS.append) -> tuple[jaxscp.Solution, tuple[dict, ...]]:
     RECORDS.clear()
     solution = jaxscp.solve(
         cart(),
         guess,
         TWO_STEPS,
         discretization=jaxscp.Discretization(jaxscp.FirstOrderHold(), tolerance=1e-9),
-        progress=RECORDS.append,
+        progress=listener,
         throw=False,
     )
     jax.effects_barrier()
@@ -527,6 +527,27 @@ def test_statistics():
     assert limits.min_substeps <= int(statistics.substeps) <= limits.max_substeps
     assert 0 <= float(statistics.integration_error) <= limits.tolerance
     assert 0 < float(statistics.qp_seconds) < float(statistics.seconds)
+
+
+def test_others_told_of_progress_compile_nothing():
+    guess = jaxscp.straight_line(cart(), UNEVEN)
+    solution, records = interrupted()
+    others: list[dict] = []
+    with compilations() as compiled:
+        recorded(guess, others.append)
+    assert not compiled
+    assert tuple(others) == records
+
+
+def test_who_fails_to_hear_of_progress_stops_the_solve():
+    def broken(record):
+        raise ZeroDivisionError(f"iteration {record['iteration']}")
+
+    guess = jaxscp.straight_line(cart(), UNEVEN)
+    with pytest.raises(jax.errors.JaxRuntimeError, match="iteration 1"):
+        recorded(guess, broken)
+    # Nothing is left in a state of its own.
+    assert recorded(guess)[1] == interrupted()[1]
 
 
 def test_progress_is_called_once_an_iteration():
