@@ -16,10 +16,13 @@ import numpy as np
 
 from jaxscp import missions
 
-from .discretizers import DISCRETIZERS, Case, Prepared, jaxscp, reference
+from .discretizer_case import Case, Prepared
+from .discretizers import DISCRETIZERS
+from .discretizers_jax import jaxscp
+from .discretizers_numpy import reference
+from .median import median_seconds
 from .over_nodes import FIGURES, finish
 from .report import table_head, write_report
-from .timing import median_seconds
 
 NODES = (25, 100, 1000, 10_000)
 SUBSTEPS = (1, 2, 4, 8, 16)
