@@ -136,7 +136,7 @@ def line(row: dict) -> str:
 
 
 def ratios(rows: list[dict]) -> list[str]:
-    """How much longer the others take at the middle."""
+    """How much longer the others take at the middle, not what their errors are."""
     nodes, substeps = MIDDLE
     found = []
     for which in dict.fromkeys(row["integrals"] for row in rows):
