@@ -9,7 +9,7 @@ import numpy as np
 
 from ._paced_problem import PACE_STATES
 from ._problem import OptimalControlProblem, entry_name
-from ._status import Status, sentence_of
+from ._status import Status, has_converged, sentence_of
 from ._trajectory import Trajectory
 from ._types import Array, Float
 
@@ -46,7 +46,7 @@ def explain(
 ) -> str:
     """The status' sentence and, unless it is a success, what is wrong where."""
     sentence = sentence_of(status)
-    if bool(status == Status.converged) or bool(status == Status.converged_roughly):
+    if bool(has_converged(status) | (status == Status.stalled)):
         return sentence
     if bool(status == Status.non_finite):
         return f"{sentence} {_first_non_finite(problem, trajectory)}"

@@ -14,6 +14,10 @@ from ._status import Status
 from ._transcription import Transcription, Variables
 from ._types import Array, ArrayLike
 
+# The scaled residual of the optimality conditions above which a point is no optimum, not
+# even roughly: gradients are of the order of one.
+_ROUGH = 1.0
+
 
 class AbstractSCP(eqx.Module):
     """A method: how a reference becomes the next one.
@@ -44,6 +48,8 @@ class AbstractSCP(eqx.Module):
         dynamics = jnp.max(broken.dynamics)
         buffer = largest_buffer(broken)
         feasible = jnp.maximum(dynamics, buffer) <= self.feasibility_tolerance
+        # Before it is known it is infinite; a method that never asks does not know it.
+        astray = jnp.isfinite(state.optimality) & (state.optimality > _ROUGH)
         failed = state.failures >= self.max_failures
         infeasible = state.solution.effort.infeasible
         # Later ones prevail. Typed as anything: a member of an Enumeration is no string.
@@ -58,6 +64,7 @@ class AbstractSCP(eqx.Module):
                 Status.virtual_control_remains,
             ),
             (state.stationary & feasible, Status.converged_roughly),
+            (state.stationary & feasible & astray, Status.stalled),
             (state.optimality <= self.tolerance, Status.converged),
             (failed, Status.subproblem_failed),
             (failed & infeasible, Status.subproblem_infeasible),

@@ -35,6 +35,11 @@ class Status(eqx.Enumeration):
         "A constraint cannot be met from this guess: a virtual buffer remains. Relax "
         "the constraint, or start from a guess that comes closer to meeting it."
     )
+    stalled = (
+        "No step improves a feasible point that is far from satisfying the optimality "
+        "conditions, as happens where limits contradict or repeat each other. Leave out "
+        "those that others imply, check the scales, or start from another guess."
+    )
     trust_region_collapsed = (
         "The trust region collapsed: no step improves the penalized cost any more. "
         "Check that dynamics, costs and constraints are differentiable on the way."

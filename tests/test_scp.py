@@ -4,6 +4,7 @@ A point mass flies around a disc in free time and must cover a distance integral
 kind of constraint the methods treat, small enough to compile fast.
 """
 
+import dataclasses
 import itertools
 
 import equinox as eqx
@@ -135,6 +136,28 @@ def test_only_the_proximal_method_ends_optimal(states):
     else:
         assert bool(status == Status.converged_roughly)
         assert int(every[-1].polish) == 0
+
+
+@pytest.mark.parametrize(
+    ("residual", "expected"),
+    [
+        (np.inf, Status.converged_roughly),  # unknown
+        (0.9, Status.converged_roughly),
+        (1.1, Status.stalled),
+        (1e6, Status.stalled),
+    ],
+)
+def test_far_from_optimal_is_not_even_roughly_converged(states, residual, expected):
+    method, every = states
+    last = dataclasses.replace(
+        every[-1],
+        stationary=jnp.array(True),
+        optimality=jnp.asarray(residual),
+        radius=jnp.asarray(1.0),
+    )
+    done, status = ended(method, TRANSCRIPTION, last)
+    assert bool(done)
+    assert bool(status == expected)
 
 
 def test_predicted_reduction_is_never_negative(states):
