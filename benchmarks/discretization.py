@@ -11,19 +11,18 @@ import json
 from pathlib import Path
 
 import jax
-import matplotlib.pyplot as plt
 import numpy as np
 
 from jaxscp import missions
 
+from .discretization_figure import figure
+from .discretization_table import HEADINGS, MIDDLE, line, tables
 from .discretizers import DISCRETIZERS, Case, Prepared, jaxscp, reference
-from .over_nodes import FIGURES, finish
-from .report import table_head, write_report
+from .records import FIGURES, add_json_option, table_head, versions_of, write_report
 from .timing import median_seconds
 
 NODES = (25, 100, 1000, 10_000)
 SUBSTEPS = (1, 2, 4, 8, 16)
-MIDDLE = (100, 4)
 
 
 def case_of(name: str, nodes: int, gathers: bool) -> Case:
@@ -88,35 +87,6 @@ def rows_of(name: str, gathers: bool, slow: float) -> list[dict]:
     return rows
 
 
-def line(row: dict) -> str:
-    """A row of the table, in Markdown."""
-    wrong = "" if row["error"] is None else f"{row['error']:.0e}"
-    cells = [row["integrals"], row["discretizer"], row["nodes"], row["substeps"]]
-    cells += [f"{1e3 * row['seconds']:.3f}", wrong, f"{row['compile_seconds']:.1f}"]
-    return f"| {' | '.join(map(str, cells))} |"
-
-
-def ratios(rows: list[dict]) -> list[str]:
-    """How much longer the others take at the middle."""
-    nodes, substeps = MIDDLE
-    found = []
-    for which in dict.fromkeys(row["integrals"] for row in rows):
-        middle = [
-            row
-            for row in rows
-            if (row["integrals"], row["nodes"], row["substeps"])
-            == (which, nodes, substeps)
-        ]
-        own = next(row["seconds"] for row in middle if row["discretizer"] == "jaxscp")
-        found += [
-            f"{which} integrals: {row['discretizer']} takes "
-            f"{row['seconds'] / own:.2f} times jaxscp's time"
-            for row in middle
-            if row["discretizer"] != "jaxscp"
-        ]
-    return found
-
-
 def batches(name: str) -> list[dict]:
     """Many trajectories at once, where there is an accelerator."""
     if jax.default_backend() == "cpu":
@@ -131,41 +101,25 @@ def batches(name: str) -> list[dict]:
     return rows
 
 
-def figure(rows: list[dict], path: Path) -> None:
-    """Error against time, and time against nodes."""
-    drawing, (precision, growth) = plt.subplots(1, 2, figsize=(11, 4.5), layout="tight")
-    for color, name in enumerate(DISCRETIZERS):
-        own = [
-            r for r in rows if r["discretizer"] == name and r["integrals"] == "without"
-        ]
-        middle = [row for row in own if row["nodes"] == MIDDLE[0]]
-        look = {"color": f"C{color}", "marker": "o", "label": name}
-        errors = [row["error"] for row in middle]
-        precision.loglog([1e3 * row["seconds"] for row in middle], errors, **look)
-        over = sorted((r["nodes"], r["seconds"]) for r in own if r["substeps"] == 4)
-        growth.loglog([n for n, _ in over], [1e3 * s for _, s in over], **look)
-    precision.set(xlabel="time [ms], 100 nodes", ylabel="largest relative error")
-    growth.set(xlabel="nodes N, four substeps", ylabel="time [ms]")
-    finish(drawing, path, legend=7)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--mission", default="free-space-30MB-60dB")
     parser.add_argument("--slow", type=float, default=0.3, help="seconds of a call")
-    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    add_json_option(parser, "discretization")
     parser.add_argument("--figure", type=Path, default=FIGURES / "discretization.png")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    headings = "integrals | discretizer | N | substeps | ms | error | compile, s"
-    print(table_head(headings))
+    print(table_head(HEADINGS))
     rows = rows_of(arguments.mission, False, arguments.slow)
     rows += rows_of(arguments.mission, True, arguments.slow)
-    print(*ratios(rows), sep="\n")
-    in_batches = batches(arguments.mission)
-    if arguments.json:
-        write_report(arguments.json, discretization=rows, batches=in_batches)
-    figure(rows, arguments.figure)
+    report = {
+        "versions": versions_of("casadi", "diffrax", "scipy"),
+        "discretization": rows,
+        "batches": batches(arguments.mission),
+    }
+    write_report(arguments.json, **report)
+    print(tables(report))
+    figure(report, arguments.figure)
 
 
 if __name__ == "__main__":

@@ -26,7 +26,7 @@ import numpy as np
 
 import jaxscp
 
-from .report import facts_of, table_head, write_report
+from .records import add_json_option, facts_of, table, table_head, write_report
 from .showpiece_landings import landing_3dof, landing_6dof
 from .showpiece_problems import Showpiece, brachistochrone, drone
 from .timing import timed_solve
@@ -122,9 +122,9 @@ def theirs(case: Case, python: Path, examples: Path, *options: str) -> dict:
             lines = ended.stderr.strip().splitlines() or ["nothing said"]
             return {"failed": lines[-1]}
         found = json.loads(result.read_text())
-    (name, sign), showpiece = case.goal, case.make()
-    objective = sign * found["nodes"][name][-1][0]
-    ends = {at: np.ravel(found["nodes"][at][-1]) for at in case.states}
+    (name, sign), showpiece, nodes = case.goal, case.make(), found.pop("nodes")
+    objective = sign * nodes[name][-1][0]
+    ends = {at: np.ravel(nodes[at][-1]) for at in case.states}
     return {
         **found,
         "objective": objective,
@@ -161,13 +161,24 @@ def line(name: str, solver: str, facts: dict) -> str:
     )
 
 
+def tables(report: dict) -> str:
+    """What was measured, in Markdown."""
+    lines = [
+        line(row["problem"], solver, facts)
+        for row in report["showpieces"]
+        for solver, facts in row.items()
+        if solver != "problem"
+    ]
+    return table(HEADINGS, lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--problems", nargs="*", default=list(CASES), choices=CASES)
     parser.add_argument("--repeats", type=int, default=5, help="warm solves of each")
     parser.add_argument("--openscvx-python", type=Path, help="a Python with OpenSCvx")
     parser.add_argument("--openscvx-examples", type=Path, help="its folder `examples`")
-    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    add_json_option(parser, "showpieces")
     arguments = parser.parse_args()
     python, examples = arguments.openscvx_python, arguments.openscvx_examples
     if (python is None) != (examples is None):
@@ -183,8 +194,7 @@ def main() -> None:
             row[way] = theirs(case, python, examples.resolve(), *options)
             print(line(name, way, row[way]), flush=True)
         rows.append(row)
-        if arguments.json:
-            write_report(arguments.json, showpieces=rows)
+        write_report(arguments.json, showpieces=rows)
 
 
 if __name__ == "__main__":
