@@ -48,9 +48,9 @@ def substeps_table(which: str, rows: list[dict]) -> str:
         lines.append(
             f"| {name} | {' | '.join(cells)} | {_ratio(rows, own[middle]):.2f} |"
         )
-    columns = " | ".join(f"{count} substeps" for count in counts)
+    columns = " | ".join(map(str, counts))
     ends = f"compile, s | with {middle}, times jaxscp's"
-    title = f"N = {nodes}, {which} integrals, ms (error):"
+    title = f"N = {nodes}, {which} integrals, ms (error) by substeps:"
     return f"{title}\n\n{table(f'discretizer | {columns} | {ends}', lines)}"
 
 
@@ -72,8 +72,8 @@ def nodes_table(which: str, rows: list[dict]) -> str:
         own = {row["nodes"]: row for row in rows if row["discretizer"] == name}
         cells = [milliseconds(own[n]) if n in own else "" for n in counts]
         lines.append(f"| {name} | {' | '.join(cells)} |")
-    columns = " | ".join(f"N = {count}" for count in counts)
-    title = f"{MIDDLE[1]} substeps, {which} integrals, ms:"
+    columns = " | ".join(map(str, counts))
+    title = f"{MIDDLE[1]} substeps, {which} integrals, ms by number of nodes:"
     return f"{title}\n\n{table(f'discretizer | {columns}', lines)}"
 
 

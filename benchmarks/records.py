@@ -69,22 +69,25 @@ def add_json_option(parser: argparse.ArgumentParser, name: str) -> None:
 
 
 def write_report(path: Path, **numbers) -> None:
-    """Numbers as JSON, with the time, the machine, the versions and the
-    command line's arguments that gave them.
+    """Numbers as JSON, with what gave them.
 
     An entry `versions`, of the numbers or of a row of them, tells of further packages.
     """
-    facts = {
+    versions = _versions([versions_of(*PACKAGES), *_told(numbers)])
+    facts = circumstances() | {"arguments": sys.argv[1:], "versions": versions}
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(json.dumps({"facts": facts, **numbers}, indent=1) + "\n")
+
+
+def circumstances() -> dict:
+    """When and on what machine; its load over 1, 5 and 15 minutes."""
+    return {
         "date": datetime.datetime.now().astimezone().isoformat(timespec="minutes"),
         "processor": _processor(),
         "cores": os.cpu_count(),
-        "arguments": sys.argv[1:],
         "load": [round(load, 2) for load in os.getloadavg()],
         "python": platform.python_version(),
-        "versions": _versions([versions_of(*PACKAGES), *_told(numbers)]),
     }
-    path.parent.mkdir(exist_ok=True)
-    path.write_text(json.dumps({"facts": facts, **numbers}, indent=1) + "\n")
 
 
 def versions_of(*packages: str) -> dict[str, str]:
