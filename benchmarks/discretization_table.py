@@ -1,5 +1,7 @@
 """The tables of `discretization.py`, from its numbers alone: that needs no peer."""
 
+import math
+
 from .records import table
 
 # Nodes and substeps, of which one changes while the other stays.
@@ -9,7 +11,8 @@ HEADINGS = "integrals | discretizer | N | substeps | ms | error | compile, s"
 
 def line(row: dict) -> str:
     """A row for the eye while the benchmark runs, in Markdown."""
-    where = [row["integrals"], row["discretizer"], row["nodes"], row["substeps"]]
+    steps = row["substeps"] or "adaptive"
+    where = [row["integrals"], row["discretizer"], row["nodes"], steps]
     cells = [milliseconds(row), wrong(row), f"{row['compile_seconds']:.1f}"]
     return f"| {' | '.join(map(str, where + cells))} |"
 
@@ -38,29 +41,29 @@ def substeps_table(which: str, rows: list[dict]) -> str:
     """Milliseconds of a call with the error, by discretizer, at the middle of nodes."""
     nodes, middle = MIDDLE
     rows = [row for row in rows if row["nodes"] == nodes]
-    counts = list(dict.fromkeys(row["substeps"] for row in rows))
+    # Adaptive steps have no number, and come last.
+    counts = sorted({row["substeps"] for row in rows}, key=lambda n: n or math.inf)
+    ours = {row["substeps"]: row for row in rows if row["discretizer"] == "jaxscp"}
     lines = []
     for name in dict.fromkeys(row["discretizer"] for row in rows):
         own = {row["substeps"]: row for row in rows if row["discretizer"] == name}
+        cells = [
+            f"{milliseconds(own[n])} ({wrong(own[n])})" if n in own else ""
+            for n in counts
+        ]
         compiling = [row["compile_seconds"] for row in own.values()]
-        cells = [f"{milliseconds(own[n])} ({wrong(own[n])})" for n in counts]
         cells.append(f"{min(compiling):.1f} to {max(compiling):.1f}")
-        lines.append(
-            f"| {name} | {' | '.join(cells)} | {_ratio(rows, own[middle]):.2f} |"
-        )
-    columns = " | ".join(map(str, counts))
-    ends = f"compile, s | with {middle}, times jaxscp's"
+        cells.append(_ratio(own.get(middle, own.get(None)), ours.get(middle)))
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    columns = " | ".join(str(count or "adaptive") for count in counts)
+    ends = f"compile, s | times jaxscp's with {middle}"
     title = f"N = {nodes}, {which} integrals, ms (error) by substeps:"
     return f"{title}\n\n{table(f'discretizer | {columns} | {ends}', lines)}"
 
 
-def _ratio(rows: list[dict], row: dict) -> float:
-    """To jaxscp's time with as many substeps."""
-    return row["seconds"] / next(
-        other["seconds"]
-        for other in rows
-        if (other["discretizer"], other["substeps"]) == ("jaxscp", row["substeps"])
-    )
+def _ratio(row: dict | None, ours: dict | None) -> str:
+    """To jaxscp's time, where both were measured."""
+    return f"{row['seconds'] / ours['seconds']:.2f}" if row and ours else ""
 
 
 def nodes_table(which: str, rows: list[dict]) -> str:

@@ -12,13 +12,10 @@ operations, or one interval's mapped over all.
 """
 
 import argparse
-import json
-import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
+from . import peer
 from .records import add_json_option, table, table_head, write_report
 
 # Mission to quadrature. Literal missions mean nothing along the flow with limits at the
@@ -48,26 +45,18 @@ HEADINGS = (
 )
 
 
-def run(module: str, case: Path, *options: str) -> dict:
-    """What a process of its own found."""
-    result = case.with_suffix(".result")
-    command = [sys.executable, "-m", f"benchmarks.{module}", str(case), str(result)]
-    subprocess.run([*command, *options], check=True)
-    return json.loads(result.read_text()) | {"load": os.getloadavg()[0]}
-
-
 def measure(name: str, ways: list[str], limit: float, nodes: int, repeats: int) -> dict:
     """One case, jaxscp first: it settles the number of substeps."""
     with tempfile.TemporaryDirectory() as folder:
-        case = Path(folder) / "case.json"
+        files = Path(folder) / "case.json", Path(folder) / "result.json"
         counts = ("--nodes", str(nodes), "--repeats", str(repeats))
         where = ("--mission", name, "--quadrature", CASES[name])
-        ours = run("ipopt_jaxscp", case, *where, *counts)
+        ours = peer.run("ipopt_jaxscp", *files, *where, *counts)
         print(jaxscp_line(name, ours), flush=True)
         theirs = {}
         for way in ways:
             options = (*WAYS[way], "--limit", str(limit))
-            theirs[way] = run("ipopt_peer", case, *options)
+            theirs[way] = peer.run("ipopt_peer", *files, *options)
             del theirs[way]["found"]
             theirs[way]["faster"] = comparison(ours, theirs[way])
             print(ipopt_line(name, way, theirs[way]), flush=True)

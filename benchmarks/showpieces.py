@@ -13,9 +13,7 @@ OpenSCvx runs its own files, in a Python that has it, and is left out without:
 """
 
 import argparse
-import json
 import os
-import subprocess
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -26,12 +24,12 @@ import numpy as np
 
 import jaxscp
 
+from . import peer
 from .records import add_json_option, facts_of, table, table_head, write_report
 from .showpiece_landings import landing_3dof, landing_6dof
 from .showpiece_problems import Showpiece, brachistochrone, drone
 from .timing import timed_solve
 
-PEER = Path(__file__).with_name("showpieces_peer.py")
 HEADINGS = (
     "problem | solver | objective | flown | from the cycloid | iterations"
     " | converged | verified | first, s | warm, s"
@@ -106,22 +104,14 @@ def ours(case: Case, repeats: int) -> dict:
     }
 
 
-def theirs(case: Case, python: Path, examples: Path, *options: str) -> dict:
+def theirs(case: Case, python: str, examples: Path, *options: str) -> dict:
     """How OpenSCvx ends, or the last line of why it did not."""
     with tempfile.TemporaryDirectory() as folder:
-        result = Path(folder) / "result.json"
-        command = [str(python), str(PEER), str(examples / case.example), str(result)]
-        ended = subprocess.run(
-            [*command, *options],
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            cwd=folder,
-        )
-        if not result.exists():
-            lines = ended.stderr.strip().splitlines() or ["nothing said"]
-            return {"failed": lines[-1]}
-        found = json.loads(result.read_text())
+        files = examples / case.example, Path(folder) / "result.json"
+        try:
+            found = peer.run("showpieces_peer", *files, *options, python=python)
+        except ChildProcessError as failure:
+            return {"failed": str(failure)}
     (name, sign), showpiece, nodes = case.goal, case.make(), found.pop("nodes")
     objective = sign * nodes[name][-1][0]
     ends = {at: np.ravel(nodes[at][-1]) for at in case.states}
@@ -131,7 +121,6 @@ def theirs(case: Case, python: Path, examples: Path, *options: str) -> dict:
         "flown": sign * found["flown"][name][0],
         "error": _error(objective, showpiece),
         "misses": {at: _farthest(found["flown"][at] - end) for at, end in ends.items()},
-        "load": os.getloadavg()[0],
     }
 
 
@@ -176,7 +165,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--problems", nargs="*", default=list(CASES), choices=CASES)
     parser.add_argument("--repeats", type=int, default=5, help="warm solves of each")
-    parser.add_argument("--openscvx-python", type=Path, help="a Python with OpenSCvx")
+    parser.add_argument("--openscvx-python", help="a Python with OpenSCvx")
     parser.add_argument("--openscvx-examples", type=Path, help="its folder `examples`")
     add_json_option(parser, "showpieces")
     arguments = parser.parse_args()
@@ -191,7 +180,7 @@ def main() -> None:
         row = {"problem": name, "jaxscp": ours(case, arguments.repeats)}
         print(line(name, "jaxscp", row["jaxscp"]), flush=True)
         for way, options in case.ways.items() if python else ():
-            row[way] = theirs(case, python, examples.resolve(), *options)
+            row[way] = theirs(case, python, examples, *options)
             print(line(name, way, row[way]), flush=True)
         rows.append(row)
         write_report(arguments.json, showpieces=rows)

@@ -1,8 +1,8 @@
 """One of OpenSCvx's own examples, for `showpieces.py`: run by the Python that has it.
 
-    python benchmarks/showpieces_peer.py EXAMPLE RESULT [--double] [--interpreted]
+    python -m benchmarks.showpieces_peer EXAMPLE RESULT [--double] [--interpreted]
 
-Needs neither jaxscp nor this package.
+Needs no jaxscp.
 """
 
 import argparse

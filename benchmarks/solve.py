@@ -9,9 +9,6 @@ in it. Needs the `bench` extra, Linux and, for OpenSCvx, an environment of its o
 """
 
 import argparse
-import json
-import os
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -23,6 +20,7 @@ import jaxscp
 from jaxscp import missions
 from jaxscp._transcription import held
 
+from . import peer
 from .missions import BEST_KNOWN
 from .records import add_json_option, table, write_report
 
@@ -52,15 +50,12 @@ HEADINGS = (
 
 def run(python: str, way: tuple[str, ...], case: Path, options: list[str]) -> dict:
     """What a process of its own found, or the last line of its complaint."""
-    result = case.with_suffix(".result")
-    result.unlink(missing_ok=True)
     module, *rest = way
-    command = [python, "-m", f"benchmarks.{module}", str(case), str(result)]
-    ended = subprocess.run([*command, *rest, *options], capture_output=True, text=True)
-    if not result.exists():
-        lines = ended.stderr.strip().splitlines() or [f"exit status {ended.returncode}"]
-        return {"status": lines[-1], "found": None}
-    return json.loads(result.read_text()) | {"load": os.getloadavg()[0]}
+    result = case.with_suffix(".result")
+    try:
+        return peer.run(module, case, result, *rest, *options, python=python)
+    except ChildProcessError as failure:
+        return {"status": str(failure), "found": None}
 
 
 def judged(problem: jaxscp.OptimalControlProblem, guess, facts: dict) -> dict:

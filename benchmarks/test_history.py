@@ -13,7 +13,7 @@ import pytest
 import jaxscp
 from benchmarks import pieces
 from benchmarks.discretization import case_of
-from benchmarks.discretizers import jaxscp as jaxscp_discretizer
+from benchmarks.discretizers_jax import jaxscp as jaxscp_discretizer
 from jaxscp import missions
 from jaxscp._transcription import Transcription
 

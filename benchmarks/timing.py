@@ -9,9 +9,6 @@ import jax
 
 import jaxscp
 
-# Seconds that the calls of `median_seconds` may take, and most of these calls.
-PATIENCE, CALLS = 3.0, 200
-
 
 class Timed(NamedTuple):
     """The last result, with wall-clock seconds: of the first call, which may compile,
@@ -31,16 +28,6 @@ def timed(call: Callable[[], Any], repeats: int) -> Timed:
         result = jax.block_until_ready(call())
         seconds.append(time.perf_counter() - begun)
     return Timed(result, seconds[0], statistics.median(seconds[1:]))
-
-
-def median_seconds(call: Callable[[], Any]) -> float:
-    """Of many warm calls; of few, or one, where these last longer."""
-    seconds: list[float] = []
-    while not seconds or (sum(seconds) < PATIENCE and len(seconds) < CALLS):
-        begun = time.perf_counter()
-        jax.block_until_ready(call())
-        seconds.append(time.perf_counter() - begun)
-    return statistics.median(seconds)
 
 
 def timed_solve(

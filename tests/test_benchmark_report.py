@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from benchmark_samples import SAMPLES
 
 ROOT = Path(__file__).parents[1]
 if not (ROOT / "benchmarks").is_dir():
@@ -15,59 +16,6 @@ sys.path.append(str(ROOT))
 from benchmarks import records, report  # noqa: E402  (no part of the package)
 
 STORED = sorted(records.RESULTS.glob("*.json"))
-SOLVED = {
-    "mission": "free-flight",
-    "objective": 24380.59,
-    "iterations": 2,
-    "polish_iterations": 14,
-    "subproblems": 3,
-    "optimality": 5e-9,
-    "converged": True,
-    "polished": True,
-    "verified": True,
-}
-
-
-def of_discretizer(name, nodes, substeps, milliseconds, error):
-    return {
-        "integrals": "without",
-        "discretizer": name,
-        "nodes": nodes,
-        "substeps": substeps,
-        "seconds": 1e-3 * milliseconds,
-        "error": error,
-        "compile_seconds": 2.0,
-    }
-
-
-# Numbers of a benchmark, and a line that its tables have.
-SAMPLES = {
-    "methods": (
-        {"methods": [SOLVED | {"method": "default", "warm_seconds": 0.504}]},
-        "| free-flight | default | 24,380.59 | 2 + 14 | 3 | 5e-09 | 0.50 | yes |",
-    ),
-    "random_missions": (
-        {
-            "missions": [
-                {**SOLVED, "buildings": 2, "megabytes": None, "cpu_seconds": 1.0},
-                {**SOLVED, "buildings": 2, "megabytes": None, "cpu_seconds": 3.0},
-                SOLVED | {"verified": False, "buildings": 2, "megabytes": None},
-            ]
-        },
-        "| no | 2 | 3 | 2 | 2, 2 | 14, 14 | 2.0, 3.0 |",
-    ),
-    "discretization": (
-        {
-            "discretization": [
-                of_discretizer("jaxscp", 100, 4, 2.0, 8e-5),
-                of_discretizer("NumPy", 100, 4, 1500.0, 8e-5),
-                of_discretizer("jaxscp", 1000, 4, 20.0, None),
-            ],
-            "batches": [],
-        },
-        "| NumPy | 1,500.000 (8e-05) | 2.0 to 2.0 | 750.00 |",
-    ),
-}
 
 
 def table_rows(text):
@@ -99,6 +47,10 @@ def test_tables_need_neither_peers_nor_the_bench_extra():
         "assert all(report.module(name).tables for name in report.TABLES.values())\n"
     )
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+
+
+def test_every_benchmark_has_a_sample():
+    assert SAMPLES.keys() == report.TABLES.keys()
 
 
 @pytest.mark.parametrize("name", SAMPLES)
