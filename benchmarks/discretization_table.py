@@ -62,7 +62,7 @@ def substeps_table(which: str, rows: list[dict]) -> str:
 
 
 def _ratio(row: dict | None, ours: dict | None) -> str:
-    """To jaxscp's time, where both were measured."""
+    """To jaxscp's time, where both were measured, whatever their errors are."""
     return f"{row['seconds'] / ours['seconds']:.2f}" if row and ours else ""
 
 
