@@ -8,7 +8,6 @@ it. Milliseconds are sums over all iterates, without what calling a program cost
 import argparse
 from collections import defaultdict
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -22,7 +21,7 @@ from jaxscp._subproblem_data import Outline
 from jaxscp._transcription import Transcription
 
 from . import pieces
-from .report import table_head, write_report
+from .records import add_json_option, table, table_head, write_report
 from .timing import timed, timed_solve
 
 MISSIONS = ("free-flight", "free-space-30MB-60dB", "urban-30MB-60dB")
@@ -40,6 +39,7 @@ NAMES = {
     "callback": "QP: transfer and callback",
     "trial": "trial of a step",
 }
+HEADINGS = "mission | piece | calls | ms each | ms | share"
 
 
 class Ledger:
@@ -134,8 +134,8 @@ def measure(name: str, repeats: int) -> dict:
     }
 
 
-def table(row: dict) -> str:
-    """What each piece takes, in Markdown."""
+def lines(row: dict) -> list[str]:
+    """What each piece takes: rows of the table, in Markdown."""
     whole = row["seconds"]
 
     def line(name: str, calls: str, seconds: float) -> str:
@@ -145,29 +145,33 @@ def table(row: dict) -> str:
             f" | {1e3 * seconds:.1f} | {100 * seconds / whole:.0f} % |"
         )
 
-    lines = [
+    pieces_of = [
         line(NAMES[piece], str(own["calls"]), own["seconds"])
         for piece, own in row["pieces"].items()
     ]
     steps = f"{row['iterations']} + {row['polish_iterations']} iterations"
-    lines += [line("the rest", "", row["rest"]), line(f"all: {steps}", "", whole)]
-    return "\n".join(lines)
+    rest, every = line("the rest", "", row["rest"]), line(f"all: {steps}", "", whole)
+    return [*pieces_of, rest, every]
+
+
+def tables(report: dict) -> str:
+    """What was measured, in Markdown."""
+    return table(HEADINGS, [line for row in report["missions"] for line in lines(row)])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--missions", nargs="*", default=list(MISSIONS))
     parser.add_argument("--repeats", type=int, default=9, help="warm solves")
-    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    add_json_option(parser, "breakdown")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    print(table_head("mission | piece | calls | ms each | ms | share"))
+    print(table_head(HEADINGS))
     rows = []
     for name in arguments.missions:
         rows.append(measure(name, arguments.repeats))
-        print(table(rows[-1]), flush=True)
-        if arguments.json:
-            write_report(arguments.json, missions=rows)
+        print(*lines(rows[-1]), sep="\n", flush=True)
+        write_report(arguments.json, missions=rows)
 
 
 if __name__ == "__main__":

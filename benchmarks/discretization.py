@@ -12,23 +12,22 @@ import json
 from pathlib import Path
 
 import jax
-import matplotlib.pyplot as plt
 import numpy as np
 
 from jaxscp import missions
 
+from .discretization_figure import figure
+from .discretization_table import HEADINGS, MIDDLE, line, tables
 from .discretizer_case import Case
 from .discretizers import DISCRETIZERS
 from .discretizers_jax import jaxscp
 from .discretizers_numpy import reference
 from .discretizers_openscvx import OPENSCVX, openscvx, runs_of
 from .median import median_seconds
-from .over_nodes import FIGURES, finish
-from .report import table_head, write_report
+from .records import FIGURES, add_json_option, table_head, versions_of, write_report
 
 NODES = (25, 100, 1000, 10_000)
 SUBSTEPS = (1, 2, 4, 8, 16)
-MIDDLE = (100, 4)
 
 
 def case_of(name: str, nodes: int, gathers: bool) -> Case:
@@ -126,36 +125,6 @@ def too_slow(row: dict, nodes: int, arguments: argparse.Namespace) -> bool:
     return row["nodes"] < nodes and row["seconds"] > arguments.slow
 
 
-def line(row: dict) -> str:
-    """A row of the table, in Markdown."""
-    wrong = "" if row["error"] is None else f"{row['error']:.0e}"
-    cells = [row["integrals"], row["discretizer"], row["nodes"]]
-    cells.append(row["substeps"] or "adaptive")
-    cells += [f"{1e3 * row['seconds']:.3f}", wrong, f"{row['compile_seconds']:.1f}"]
-    return f"| {' | '.join(map(str, cells))} |"
-
-
-def ratios(rows: list[dict]) -> list[str]:
-    """How much longer the others take at the middle, not what their errors are."""
-    nodes, substeps = MIDDLE
-    found = []
-    for which in dict.fromkeys(row["integrals"] for row in rows):
-        middle = [
-            row
-            for row in rows
-            if (row["integrals"], row["nodes"]) == (which, nodes)
-            and row["substeps"] in (substeps, None)
-        ]
-        own = [row["seconds"] for row in middle if row["discretizer"] == "jaxscp"]
-        found += [
-            f"{which} integrals: {row['discretizer']} takes "
-            f"{row['seconds'] / own[0]:.2f} times jaxscp's time"
-            for row in middle
-            if own and row["discretizer"] != "jaxscp"
-        ]
-    return found
-
-
 def batches(name: str) -> list[dict]:
     """Many trajectories at once, where there is an accelerator."""
     if jax.default_backend() == "cpu":
@@ -170,25 +139,6 @@ def batches(name: str) -> list[dict]:
     return rows
 
 
-def figure(rows: list[dict], path: Path) -> None:
-    """Error against time, and time against nodes."""
-    drawing, (precision, growth) = plt.subplots(1, 2, figsize=(11, 4.5), layout="tight")
-    plain = [row for row in rows if row["integrals"] == "without"]
-    for color, name in enumerate(dict.fromkeys(row["discretizer"] for row in plain)):
-        own = [row for row in plain if row["discretizer"] == name]
-        middle = [row for row in own if row["nodes"] == MIDDLE[0]]
-        marker = "s" if name in OPENSCVX else "o"
-        look = {"color": f"C{color}", "marker": marker, "label": name}
-        errors = [row["error"] for row in middle]
-        precision.loglog([1e3 * row["seconds"] for row in middle], errors, **look)
-        at = [row for row in own if row["substeps"] in (MIDDLE[1], None)]
-        over = sorted((row["nodes"], row["seconds"]) for row in at)
-        growth.loglog([n for n, _ in over], [1e3 * s for _, s in over], **look)
-    precision.set(xlabel="time [ms], 100 nodes", ylabel="largest relative error")
-    growth.set(xlabel="nodes N, four substeps", ylabel="time [ms]")
-    finish(drawing, path, legend=7)
-
-
 def main() -> None:
     every = [*DISCRETIZERS, *OPENSCVX]
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
@@ -200,24 +150,26 @@ def main() -> None:
     parser.add_argument("--slow", type=float, default=0.3, help="seconds of a call")
     limit = "of OpenSCvx's process for a case [s]"
     parser.add_argument("--limit", type=float, default=150.0, help=limit)
-    quick = "100 nodes, four substeps, no integrals; no figure"
+    quick = "100 nodes, four substeps, no integrals; nothing stored, no figure"
     parser.add_argument("--quick", action="store_true", help=quick)
-    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    add_json_option(parser, "discretization")
     parser.add_argument("--figure", type=Path, default=FIGURES / "discretization.png")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     if not arguments.openscvx_python:
         print("OpenSCvx is left out: no --openscvx-python was given.\n")
-    headings = "integrals | discretizer | N | substeps | ms | error | compile, s"
-    print(table_head(headings))
+    print(table_head(HEADINGS))
     rows = rows_of(False, arguments)
     rows += [] if arguments.quick else rows_of(True, arguments)
-    print(*ratios(rows), sep="\n")
-    in_batches = [] if arguments.quick else batches(arguments.mission)
-    if arguments.json:
-        write_report(arguments.json, discretization=rows, batches=in_batches)
+    report = {
+        "versions": versions_of("casadi", "diffrax", "scipy"),
+        "discretization": rows,
+        "batches": [] if arguments.quick else batches(arguments.mission),
+    }
+    print(tables(report))
     if not arguments.quick:
-        figure(rows, arguments.figure)
+        write_report(arguments.json, **report)
+        figure(report, arguments.figure)
 
 
 if __name__ == "__main__":

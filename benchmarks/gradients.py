@@ -22,10 +22,15 @@ import jaxscp
 from jaxscp import Discretization, missions
 from jaxscp._outcome import differentiable
 
-from .over_nodes import exponent, finish, measured
+from .over_nodes import exponent, finish, in_order, measured
+from .records import table
 from .timing import timed, timed_solve
 
 NODES = (25, 50, 100, 200, 400)
+COLUMNS = (
+    "mission | N | solve, s | objective, ms | MiB | trajectory, ms | MiB"
+    " | differences, s | polished"
+)
 BETWEEN = Discretization(between=missions.ENFORCED["between"])
 
 
@@ -87,8 +92,9 @@ def line(row: dict) -> str:
     return f"| {' | '.join(map(str, cells))} |"
 
 
-def figure(by_mission: dict[str, list[dict]], path: Path) -> None:
+def figure(report: dict, path: Path) -> None:
     """Time and memory over the number of nodes."""
+    by_mission = report["missions"]
     drawing, (times, memory) = plt.subplots(1, 2, figsize=(9, 3.8), layout="constrained")
     for (name, rows), style in zip(by_mission.items(), ("o-", "s--"), strict=False):
         nodes = [row["nodes"] for row in rows]
@@ -105,12 +111,13 @@ def figure(by_mission: dict[str, list[dict]], path: Path) -> None:
     finish(drawing, path, legend=6)
 
 
+def tables(report: dict) -> str:
+    """What was measured, in Markdown."""
+    return table(COLUMNS, map(line, in_order(report)))
+
+
 def main() -> None:
-    headings = (
-        "mission | N | solve, s | objective, ms | MiB | trajectory, ms | MiB"
-        " | differences, s | polished"
-    )
-    figure(*measured("gradients", __doc__, NODES, headings, measure, line))
+    figure(*measured("gradients", __doc__, NODES, COLUMNS, measure, line))
 
 
 if __name__ == "__main__":

@@ -16,11 +16,14 @@ import numpy as np
 import jaxscp
 from jaxscp import missions
 
-from .over_nodes import exponent, finish, measured
-from .report import HEADINGS, cells, facts_of
+from .over_nodes import exponent, finish, in_order, measured
+from .records import HEADINGS, cells, facts_of, table
 from .timing import timed_solve
 
 NODES = (50, 100, 200, 400, 800, 1200, 2000)
+COLUMNS = (
+    f"mission | N | {HEADINGS} | s | CPU s | CPU ms an iteration | converged | verified"
+)
 
 
 def measure(name: str, nodes: int, repeats: int) -> dict:
@@ -47,8 +50,9 @@ def measure(name: str, nodes: int, repeats: int) -> dict:
     }
 
 
-def figure(by_mission: dict[str, list[dict]], path: Path) -> None:
+def figure(report: dict, path: Path) -> None:
     """Time per iteration and number of iterations over the number of nodes."""
+    by_mission = report["missions"]
     drawing, (times, counts) = plt.subplots(1, 2, figsize=(9, 3.6), layout="constrained")
     for name, rows in by_mission.items():
         nodes = [row["nodes"] for row in rows]
@@ -79,16 +83,17 @@ def line(row: dict) -> str:
     )
 
 
+def tables(report: dict) -> str:
+    """What was measured, in Markdown."""
+    return table(COLUMNS, map(line, in_order(report)))
+
+
 def main() -> None:
-    headings = (
-        f"mission | N | {HEADINGS} | s | CPU s"
-        " | CPU ms an iteration | converged | verified"
-    )
-    by_mission, path = measured("growth", __doc__, NODES, headings, measure, line)
-    for name, rows in by_mission.items():
+    report, path = measured("growth", __doc__, NODES, COLUMNS, measure, line)
+    for name, rows in report["missions"].items():
         power = exponent(rows, "seconds_per_iteration")
         print(f"{name}: time per iteration grows as N^{power:.2f}")
-    figure(by_mission, path)
+    figure(report, path)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ import tempfile
 from pathlib import Path
 
 from . import peer
-from .report import table_head, write_report
+from .records import add_json_option, table, table_head, write_report
 
 # Mission to quadrature. Literal missions mean nothing along the flow with limits at the
 # nodes alone.
@@ -99,6 +99,16 @@ def ipopt_line(name: str, way: str, facts: dict) -> str:
     )
 
 
+def tables(report: dict) -> str:
+    """What was measured, in Markdown."""
+    lines = []
+    for case in report["cases"]:
+        name = case["mission"]
+        lines.append(jaxscp_line(name, case["jaxscp"]))
+        lines += [ipopt_line(name, way, facts) for way, facts in case["ipopt"].items()]
+    return table(HEADINGS, lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--missions", nargs="*", default=list(CASES), choices=CASES)
@@ -106,15 +116,14 @@ def main() -> None:
     parser.add_argument("--limit", type=float, default=600.0, help="of IPOPT [s]")
     parser.add_argument("--nodes", type=int, default=100)
     parser.add_argument("--repeats", type=int, default=7, help="warm solves of jaxscp")
-    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    add_json_option(parser, "ipopt")
     arguments = parser.parse_args()
     print(table_head(HEADINGS))
     cases = []
     for name in arguments.missions:
         rest = (arguments.limit, arguments.nodes, arguments.repeats)
         cases.append(measure(name, arguments.ways, *rest))
-        if arguments.json:
-            write_report(arguments.json, cases=cases)
+        write_report(arguments.json, cases=cases)
 
 
 if __name__ == "__main__":

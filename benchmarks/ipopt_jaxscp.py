@@ -16,7 +16,7 @@ import jaxscp
 from jaxscp import Discretization, Trajectory, missions
 
 from . import memory
-from .report import facts_of
+from .records import facts_of
 from .timing import timed_solve
 
 

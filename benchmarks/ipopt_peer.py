@@ -58,7 +58,7 @@ def solve(case: dict, *, graph: str, scaled: bool, limit: float, repeats: int) -
         "found": trajectory(case, found["x"].full().ravel() * problem.scale),
         "memory_imported": imported,
         "memory_peak": memory.peak(),
-        "casadi": ca.__version__,
+        "versions": {"casadi": ca.__version__},
     }
 
 

@@ -11,7 +11,15 @@ import jax
 import jaxscp
 from jaxscp import missions
 
-from .report import HEADINGS, cells, facts_of
+from .records import (
+    HEADINGS,
+    add_json_option,
+    cells,
+    facts_of,
+    table,
+    table_head,
+    write_report,
+)
 from .timing import timed_solve
 from .variants import HardBall, SmoothMerit
 
@@ -26,15 +34,33 @@ VARIANTS = {
     "the paper's Algorithm 1": jaxscp.PaperSCP(),
 }
 MISSIONS = ("free-flight", "urban-flight", "free-space-30MB-60dB", "urban-30MB-60dB")
+COLUMNS = f"mission | method | {HEADINGS} | s | converged"
 
 
-def measure(mission: str, method: jaxscp.AbstractSCP, nodes: int, repeats: int) -> str:
-    """One row of the table, in Markdown."""
+def measure(mission: str, name: str, nodes: int, repeats: int) -> dict:
+    """A mission by one of the methods; seconds are wall-clock, of a warm solve."""
     chosen = missions.get(mission)
     problem, guess = chosen.problem(), chosen.guess(nodes)
-    solution, _, warm = timed_solve(problem, guess, repeats, method)
-    converged = "yes" if bool(solution.converged) else "no"
-    return f" {cells(facts_of(solution))} | {warm:.2f} | {converged} |"
+    solution, _, warm = timed_solve(problem, guess, repeats, VARIANTS[name])
+    return {
+        "mission": mission,
+        "method": name,
+        **facts_of(solution),
+        "warm_seconds": warm,
+    }
+
+
+def line(row: dict) -> str:
+    """A row of the table, in Markdown."""
+    return (
+        f"| {row['mission']} | {row['method']} | {cells(row)}"
+        f" | {row['warm_seconds']:.2f} | {'yes' if row['converged'] else 'no'} |"
+    )
+
+
+def tables(report: dict) -> str:
+    """What was measured, in Markdown."""
+    return table(COLUMNS, map(line, report["methods"]))
 
 
 def main() -> None:
@@ -42,14 +68,16 @@ def main() -> None:
     parser.add_argument("--missions", nargs="*", default=list(MISSIONS))
     parser.add_argument("--nodes", type=int, default=100)
     parser.add_argument("--repeats", type=int, default=3)
+    add_json_option(parser, "methods")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
-    print(f"| mission | method | {HEADINGS} | s | converged |")
-    print("|---|---|---|---|---|---|---|---|")
+    print(table_head(COLUMNS))
+    rows = []
     for mission in arguments.missions:
-        for name, method in VARIANTS.items():
-            row = measure(mission, method, arguments.nodes, arguments.repeats)
-            print(f"| {mission} | {name} |{row}", flush=True)
+        for name in VARIANTS:
+            rows.append(measure(mission, name, arguments.nodes, arguments.repeats))
+            print(line(rows[-1]), flush=True)
+            write_report(arguments.json, methods=rows)
 
 
 if __name__ == "__main__":

@@ -5,14 +5,21 @@ guess's place: the same. Accuracy stands beside time.
 """
 
 import argparse
-from pathlib import Path
 
 import jax
 
 import jaxscp
 from jaxscp import missions
 
-from .report import facts_of, write_report
+from .records import (
+    HEADINGS,
+    add_json_option,
+    cells,
+    facts_of,
+    table,
+    table_head,
+    write_report,
+)
 from .timing import timed_solve
 
 # Objective [N^2 s] that IPOPT (tolerance 1e-8) reached on the same discrete problem:
@@ -23,6 +30,10 @@ BEST_KNOWN = {
     "free-space-30MB-60dB": 43607.78,
     "urban-30MB-60dB": 47262.50,
 }
+COLUMNS = (
+    f"mission | {HEADINGS} | above best known | verified | warm, s | of it in PIQP, s"
+    " | cold, s"
+)
 
 
 def measure(name: str, nodes: int, repeats: int) -> dict:
@@ -43,26 +54,34 @@ def measure(name: str, nodes: int, repeats: int) -> dict:
     }
 
 
+def line(row: dict) -> str:
+    """A row of the table, in Markdown."""
+    above = row["above_best_known"]
+    return (
+        f"| {row['mission']} | {cells(row)} | {'' if above is None else f'{above:+.1e}'}"
+        f" | {'yes' if row['verified'] else 'no'} | {row['warm_seconds']:.3f}"
+        f" | {row['piqp_seconds']:.3f} | {row['cold_seconds']:.1f} |"
+    )
+
+
+def tables(report: dict) -> str:
+    """What was measured, in Markdown."""
+    return table(COLUMNS, map(line, report["missions"]))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--missions", nargs="*", default=list(BEST_KNOWN))
     parser.add_argument("--nodes", type=int, default=100)
     parser.add_argument("--repeats", type=int, default=9)
-    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    add_json_option(parser, "missions")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
+    print(table_head(COLUMNS))
     rows = []
     for name in arguments.missions:
-        row = measure(name, arguments.nodes, arguments.repeats)
-        rows.append(row)
-        print(
-            f"{name:22} {row['objective']:12.2f} N^2 s  {row['iterations']:3d} iterations"
-            f" + {row['polish_iterations']:2d} to {row['optimality']:.0e}"
-            f"  {row['warm_seconds']:.3f} s warm ({row['piqp_seconds']:.3f} s in PIQP)"
-            f"  {row['cold_seconds']:.1f} s cold  verified: {row['verified']}",
-            flush=True,
-        )
-    if arguments.json:
+        rows.append(measure(name, arguments.nodes, arguments.repeats))
+        print(line(rows[-1]), flush=True)
         write_report(arguments.json, missions=rows)
 
 

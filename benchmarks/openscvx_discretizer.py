@@ -16,6 +16,7 @@ import contextlib
 import json
 import os
 import time
+from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -32,6 +33,7 @@ from openscvx.utils.caching import load_or_compile_discretization_solver
 from .median import median_seconds
 from .second_model import dynamics, integrands
 
+PACKAGES = ("openscvx", "jax", "diffrax")
 # Its sparse discretizer wants symbols.
 SYMBOLS = SimpleNamespace(
     sin=ox.Sin,
@@ -109,7 +111,7 @@ def measure(case: dict, run: dict) -> dict:
     if case["compared"]:
         values, jacobian = arranged(problem, found)
         facts |= {"values": values.tolist(), "jacobian": jacobian.tolist()}
-    return run | facts
+    return run | facts | {"versions": {name: version(name) for name in PACKAGES}}
 
 
 def arranged(problem: ox.Problem, found) -> tuple[np.ndarray, np.ndarray]:

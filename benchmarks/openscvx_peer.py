@@ -9,12 +9,15 @@ import copy
 import json
 import os
 import time
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
 
 from .age import age
 from .openscvx_problem import WEIGHTS, openscvx_problem
+
+PACKAGES = ("openscvx", "jax", "qoco")
 
 
 def solve(case: dict, *, repeats: int, limit: float, **settings: str) -> dict:
@@ -46,6 +49,7 @@ def solve(case: dict, *, repeats: int, limit: float, **settings: str) -> dict:
         "trust_region": last(result.J_tr_history),
         "virtual_control": last(result.J_vc_history),
         "virtual_buffer": last(result.J_vb_history),
+        "versions": {package: version(package) for package in PACKAGES},
     }
 
 

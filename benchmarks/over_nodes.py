@@ -10,16 +10,15 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from .report import table_head, write_report
+from .records import FIGURES, add_json_option, table_head, write_report
 
-FIGURES = Path(__file__).parent / "figures"
 MISSIONS = ("free-flight", "free-space-30MB-60dB")
 
 
 class Measured(NamedTuple):
-    """Rows of each mission, and where their figure is to be drawn."""
+    """Rows of each mission, as they are stored, and where their figure is to be drawn."""
 
-    rows: dict[str, list[dict]]
+    report: dict
     figure: Path
 
 
@@ -35,7 +34,8 @@ def measured(
 
     **Arguments:**
 
-    - `name`: of the figure. `description`: of the benchmark, its first line counts.
+    - `name`: of the result and the figure. `description`: of the benchmark, whose first
+        line counts.
     - `nodes`: numbers of nodes, if none are asked for.
     - `headings`: of the table, between its outer bars. `line`: a row of it.
     - `measure`: of a mission's name, a number of nodes and a number of repeats.
@@ -45,7 +45,7 @@ def measured(
     parser.add_argument("--missions", nargs="*", default=list(MISSIONS))
     parser.add_argument("--nodes", type=int, nargs="*", default=list(nodes))
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    add_json_option(parser, name)
     parser.add_argument("--figure", type=Path, help="where to draw it", default=figure)
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
@@ -55,9 +55,14 @@ def measured(
         for mission, own in rows.items():
             own.append(measure(mission, count, arguments.repeats))
             print(line(own[-1]), flush=True)
-        if arguments.json:
-            write_report(arguments.json, missions=rows)
-    return Measured(rows, arguments.figure)
+        write_report(arguments.json, missions=rows)
+    return Measured({"missions": rows}, arguments.figure)
+
+
+def in_order(report: dict) -> list[dict]:
+    """Rows of all missions as they were measured, few nodes first."""
+    rows = [row for own in report["missions"].values() for row in own]
+    return sorted(rows, key=lambda row: row["nodes"])
 
 
 def exponent(rows: list[dict], of: str) -> float:

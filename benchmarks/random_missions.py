@@ -9,7 +9,6 @@ processor time, which other programs on the machine hardly change.
 
 import argparse
 import time
-from pathlib import Path
 
 import jax
 import numpy as np
@@ -18,7 +17,11 @@ import jaxscp
 from jaxscp import missions
 
 from .cities import random_mission
-from .report import facts_of, write_report
+from .records import add_json_option, facts_of, table, write_report
+
+COLUMNS = (
+    "data | buildings | missions | converged and verified | iterations | polish | CPU s"
+)
 
 
 def solve(mission: missions.Mission, arguments: argparse.Namespace):
@@ -65,14 +68,17 @@ def measure(index: int, compiled: set, arguments: argparse.Namespace) -> dict:
     patient = (
         None if bool(solution.converged) else with_further_guesses(mission, arguments)
     )
-    verification = check(mission, solution, arguments)
+    verification, facts = check(mission, solution, arguments), facts_of(solution)
+    if facts["polished"]:
+        # Two hundred rows stay small so.
+        facts["status"] = None
     return {
         "index": index,
         "buildings": mission.obstacles.count,
         "megabytes": None
         if mission.data_required is None
         else float(mission.data_required) / missions.BITS_PER_MEGABYTE,
-        **facts_of(solution),
+        **facts,
         "verified": verification.verified,
         "verification": None if verification.verified else str(verification),
         "final_time": float(solution.trajectory.final_time),
@@ -81,9 +87,14 @@ def measure(index: int, compiled: set, arguments: argparse.Namespace) -> dict:
     }
 
 
+def successes(rows: list[dict]) -> list[dict]:
+    """Those that are converged and verified."""
+    return [row for row in rows if row["converged"] and row["verified"]]
+
+
 def summary(rows: list[dict]) -> dict:
     """Counts, and the middle, the slowest tenth and the worst of what it took."""
-    solved = [row for row in rows if row["converged"] and row["verified"]]
+    solved = successes(rows)
     spread = {
         what: dict(
             zip(
@@ -125,6 +136,32 @@ def line(row: dict) -> str:
     return "\n".join([text, *wrong])
 
 
+def group_line(data: bool, buildings: int, rows: list[dict]) -> str:
+    """A row of the table, in Markdown: median and largest of those solved."""
+    solved = successes(rows)
+
+    def spread(what: str, form: str) -> str:
+        values = [row[what] for row in solved]
+        if not values:
+            return ""
+        return f"{np.median(values):{form}}, {np.max(values):{form}}"
+
+    return (
+        f"| {'yes' if data else 'no'} | {buildings} | {len(rows)} | {len(solved)}"
+        f" | {spread('iterations', '.0f')} | {spread('polish_iterations', '.0f')}"
+        f" | {spread('cpu_seconds', '.1f')} |"
+    )
+
+
+def tables(report: dict) -> str:
+    """What was measured, in Markdown, by structure."""
+    groups: dict[tuple[bool, int], list[dict]] = {}
+    for row in report["missions"]:
+        structure = (row["megabytes"] is not None, row["buildings"])
+        groups.setdefault(structure, []).append(row)
+    return table(COLUMNS, [group_line(*key, groups[key]) for key in sorted(groups)])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--count", type=int, default=200)
@@ -132,7 +169,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--enforce", choices=("nodes", "between"), default="nodes")
     parser.add_argument("--nodes", type=int, default=100)
-    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    add_json_option(parser, "random_missions")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     rows, compiled = [], set()
@@ -140,11 +177,11 @@ def main() -> None:
         rows.append(measure(index, compiled, arguments))
         print(line(rows[-1]), flush=True)
         # As it goes: a run takes a quarter of an hour.
-        if arguments.json:
-            settings = {"seed": arguments.seed, "enforce": arguments.enforce}
-            write_report(arguments.json, **settings, summary=summary(rows), missions=rows)
+        settings = {"seed": arguments.seed, "enforce": arguments.enforce}
+        write_report(arguments.json, **settings, summary=summary(rows), missions=rows)
     for what, value in summary(rows).items():
         print(f"{what}: {value}")
+    print(tables({"missions": rows}))
 
 
 if __name__ == "__main__":

@@ -1,54 +1,118 @@
-"""How every benchmark writes its numbers."""
+"""README.md's tables and figures from stored results: python -m benchmarks.report
 
+Every benchmark writes its numbers to `results/`. What stands between the two markers of
+a benchmark in README.md is made from them, as the benchmark prints it.
+"""
+
+import argparse
+import importlib
 import json
-import os
-import platform
-from importlib.metadata import version
+from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 
-import jaxscp
+from .records import FIGURES, RESULTS, origin
 
-PACKAGES = ("jax", "jaxlib", "piqp", "numpy", "equinox")
+README = Path(__file__).with_name("README.md")
+# Name of a result to the module that makes its tables: none needs the `bench` extra.
+TABLES = {
+    "missions": "missions",
+    "methods": "methods",
+    "ipopt": "ipopt",
+    "random_missions": "random_missions",
+    "growth": "growth",
+    "gradients": "gradients",
+    "discretization": "discretization_table",
+    "solve": "solve",
+    "breakdown": "breakdown",
+    "showpieces": "showpieces",
+}
+# ... and to the module that draws its figure.
+DRAWINGS = {
+    "growth": "growth",
+    "gradients": "gradients",
+    "discretization": "discretization_figure",
+}
 
-# Of the cells of a Markdown table that every solve fills.
-HEADINGS = "objective | iterations + polish | QPs | residual"
+
+def module(name: str) -> ModuleType:
+    """One of the benchmarks', imported when it is needed."""
+    return importlib.import_module(f".{name}", __package__)
 
 
-def facts_of(solution: jaxscp.Solution) -> dict:
-    """How a solve ended and how many steps it took."""
-    statistics = solution.statistics
-    return {
-        "status": solution.message,
-        "converged": bool(solution.converged),
-        "polished": bool(solution.polished),
-        "objective": float(solution.objective),
-        "optimality": float(solution.optimality),
-        "iterations": int(statistics.iterations),
-        "polish_iterations": int(statistics.polish_iterations),
-        "subproblems": int(statistics.subproblems),
-    }
+def section(name: str, report: dict) -> str:
+    """What stands between a benchmark's markers."""
+    return f"{origin(report['facts'])}\n\n{module(TABLES[name]).tables(report)}"
 
 
-def cells(facts: dict) -> str:
-    """What stands below `HEADINGS`."""
-    return (
-        f"{facts['objective']:,.2f}"
-        f" | {facts['iterations']} + {facts['polish_iterations']}"
-        f" | {facts['subproblems']} | {facts['optimality']:.0e}"
+def replaced(text: str, name: str, between: str) -> str:
+    """The text with something else between a benchmark's markers.
+
+    **Raises:** `ValueError` where it does not have both of them, once.
+    """
+    begin = f"<!-- {name}: made by python -m benchmarks.report -->"
+    end = f"<!-- end of {name} -->"
+    if (text.count(begin), text.count(end)) != (1, 1):
+        raise ValueError(f"README.md needs, once each: {begin} and {end}")
+    before, _, rest = text.partition(begin)
+    _, _, after = rest.partition(end)
+    return f"{before}{begin}\n\n{between}\n\n{end}{after}"
+
+
+def stored(names: Sequence[str], results: Path) -> dict[str, dict]:
+    """Those of the results that there are, by name; says which there are not."""
+    reports = {}
+    for name in names:
+        path = results / f"{name}.json"
+        if path.exists():
+            reports[name] = json.loads(path.read_text())
+        else:
+            print(f"{name}: no result is stored, so its section stays as it is")
+    return reports
+
+
+def written(reports: dict[str, dict], readme: Path, *, check: bool) -> int:
+    """Number of sections that changed, or would: a check writes nothing."""
+    text, changes = readme.read_text(), 0
+    for name, report in reports.items():
+        new = replaced(text, name, section(name, report))
+        if new != text:
+            changes += 1
+            print(f"{name}: {'is not what is stored' if check else 'written'}")
+        text = new
+    if changes and not check:
+        readme.write_text(text)
+    return changes
+
+
+def draw(reports: dict[str, dict]) -> None:
+    """The figures of those that have one."""
+    for name in DRAWINGS.keys() & reports.keys():
+        path = FIGURES / f"{name}.png"
+        module(DRAWINGS[name]).figure(reports[name], path)
+        print(f"{name}: drawn, {path.name}")
+
+
+def main(
+    arguments: Sequence[str] | None = None, readme: Path = README, results: Path = RESULTS
+) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    known = ", ".join(TABLES)
+    parser.add_argument("names", nargs="*", help=f"if not all of {known}")
+    parser.add_argument(
+        "--check", action="store_true", help="fail if README.md would change; no figures"
     )
+    options = parser.parse_args(arguments)
+    found = [path.stem for path in results.glob("*.json")]
+    if unknown := {*options.names, *found} - TABLES.keys():
+        parser.error(f"{', '.join(sorted(unknown))} is none of {known}")
+    reports = stored(options.names or list(TABLES), results)
+    changes = written(reports, readme, check=options.check)
+    if options.check:
+        return int(changes > 0)
+    draw(reports)
+    return 0
 
 
-def table_head(headings: str) -> str:
-    """The first two lines of a table in Markdown, from what is between its outer bars."""
-    return f"| {headings} |\n{'|---' * (headings.count('|') + 1)}|"
-
-
-def write_report(path: Path, **numbers) -> None:
-    """Numbers as JSON, with the machine and the versions that gave them."""
-    facts = {
-        "machine": platform.machine(),
-        "cores": os.cpu_count(),
-        "python": platform.python_version(),
-        "versions": {package: version(package) for package in PACKAGES},
-    }
-    path.write_text(json.dumps({"facts": facts, **numbers}, indent=2) + "\n")
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -25,7 +25,7 @@ import numpy as np
 import jaxscp
 
 from . import peer
-from .report import facts_of, table_head, write_report
+from .records import add_json_option, facts_of, table, table_head, write_report
 from .showpiece_landings import landing_3dof, landing_6dof
 from .showpiece_problems import Showpiece, brachistochrone, drone
 from .timing import timed_solve
@@ -112,9 +112,9 @@ def theirs(case: Case, python: str, examples: Path, *options: str) -> dict:
             found = peer.run("showpieces_peer", *files, *options, python=python)
         except ChildProcessError as failure:
             return {"failed": str(failure)}
-    (name, sign), showpiece = case.goal, case.make()
-    objective = sign * found["nodes"][name][-1][0]
-    ends = {at: np.ravel(found["nodes"][at][-1]) for at in case.states}
+    (name, sign), showpiece, nodes = case.goal, case.make(), found.pop("nodes")
+    objective = sign * nodes[name][-1][0]
+    ends = {at: np.ravel(nodes[at][-1]) for at in case.states}
     return {
         **found,
         "objective": objective,
@@ -150,13 +150,24 @@ def line(name: str, solver: str, facts: dict) -> str:
     )
 
 
+def tables(report: dict) -> str:
+    """What was measured, in Markdown."""
+    lines = [
+        line(row["problem"], solver, facts)
+        for row in report["showpieces"]
+        for solver, facts in row.items()
+        if solver != "problem"
+    ]
+    return table(HEADINGS, lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--problems", nargs="*", default=list(CASES), choices=CASES)
     parser.add_argument("--repeats", type=int, default=5, help="warm solves of each")
     parser.add_argument("--openscvx-python", help="a Python with OpenSCvx")
     parser.add_argument("--openscvx-examples", type=Path, help="its folder `examples`")
-    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    add_json_option(parser, "showpieces")
     arguments = parser.parse_args()
     python, examples = arguments.openscvx_python, arguments.openscvx_examples
     if (python is None) != (examples is None):
@@ -172,8 +183,7 @@ def main() -> None:
             row[way] = theirs(case, python, examples, *options)
             print(line(name, way, row[way]), flush=True)
         rows.append(row)
-        if arguments.json:
-            write_report(arguments.json, showpieces=rows)
+        write_report(arguments.json, showpieces=rows)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from jaxscp._transcription import held
 
 from . import peer
 from .missions import BEST_KNOWN
-from .report import table_head, write_report
+from .records import add_json_option, table, write_report
 
 MISSIONS = ("free-flight", "free-space-30MB-60dB", "urban-30MB-60dB")
 EQUAL = 0.005
@@ -130,6 +130,16 @@ def line(row: dict) -> str:
     )
 
 
+def tables(report: dict) -> str:
+    """What was measured, in Markdown, a table for each mission."""
+    by_mission: dict[str, list[str]] = {}
+    for row in report["rows"]:
+        by_mission.setdefault(row["mission"], []).append(line(row))
+    return "\n\n".join(
+        f"{name}:\n\n{table(HEADINGS, lines)}" for name, lines in by_mission.items()
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--missions", nargs="*", default=list(MISSIONS), choices=MISSIONS)
@@ -140,19 +150,17 @@ def main() -> None:
     parser.add_argument("--solvers", nargs="*", default=every, choices=every)
     parser.add_argument("--limit", type=float, default=120.0, help="of a peer [s]")
     parser.add_argument("--repeats", type=int, default=7, help="warm solves of jaxscp")
-    parser.add_argument("--json", type=Path, help="where to write the numbers")
+    add_json_option(parser, "solve")
     arguments = parser.parse_args()
     jax.config.update("jax_enable_x64", True)
     if not arguments.openscvx_python:
         print("OpenSCvx is left out: no --openscvx-python was given.\n")
     rows = []
     for name in arguments.missions:
-        print(f"{name}:\n\n{table_head(HEADINGS)}")
         own = measure(name, arguments)
-        print(*map(line, own), "", sep="\n", flush=True)
+        print(tables({"rows": own}), "", sep="\n", flush=True)
         rows += own
-        if arguments.json:
-            write_report(arguments.json, rows=rows)
+        write_report(arguments.json, rows=rows)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from jaxscp import missions
 
 from .age import age
 from .ipopt_jaxscp import case_of
-from .report import facts_of
+from .records import facts_of
 from .timing import timed
 
 
