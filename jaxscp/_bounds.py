@@ -133,6 +133,7 @@ class Bounds(eqx.Module):
 
     @property
     def shape(self) -> tuple[int, ...]:
+        """Of each of the limits."""
         return self.lower.shape
 
     @property

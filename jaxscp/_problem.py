@@ -110,10 +110,12 @@ class OptimalControlProblem(eqx.Module):
 
     @property
     def state_size(self) -> int:
+        """Entries of the state, n."""
         return self.state.lower.size
 
     @property
     def control_size(self) -> int:
+        """Entries of the control, m."""
         return self.control.lower.size
 
     @property

@@ -50,6 +50,7 @@ class History(eqx.Module):
 
     @classmethod
     def empty(cls, records: int) -> "History":
+        """Room for so many records, none written yet."""
         return cls(*(jnp.full(records, jnp.nan) for _ in range(9)))
 
     def write(self, index: Array, **values: Array) -> "History":

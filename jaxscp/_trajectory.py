@@ -29,6 +29,7 @@ class Trajectory(eqx.Module):
 
     @property
     def nodes(self) -> int:
+        """Their number, N."""
         return self.fractions.shape[0]
 
 

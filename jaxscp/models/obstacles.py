@@ -41,6 +41,7 @@ class Cylinders(eqx.Module):
 
     @property
     def count(self) -> int:
+        """How many there are."""
         return self.centers.shape[0]
 
     def clearance(self, position: Float[Array, " _"]) -> Float[Array, " k"]:
