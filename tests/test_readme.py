@@ -4,20 +4,16 @@ import json
 import re
 import shlex
 import tomllib
-from pathlib import Path
 
 import pytest
+from documents import ROOT, Page
 
 import jaxscp.missions
 from jaxscp.__main__ import main
 from jaxscp._cli._arguments import parser
 
-ROOT = Path(__file__).parents[1]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-
-
-def blocks(language):
-    return re.findall(rf"^```{language}\n(.*?)^```$", README, re.DOTALL | re.MULTILINE)
+PAGE = Page("README.md")
+README, blocks = PAGE.text, PAGE.blocks
 
 
 def commands(word):
@@ -32,9 +28,7 @@ def first_solve():
 
 
 def test_python_blocks_run():
-    namespace = {}
-    for block in blocks("python"):
-        exec(compile(block, "README.md", "exec"), namespace)
+    namespace = PAGE.run()
     assert bool(namespace["solution"].converged)
     assert namespace["checked"].verified
 
@@ -79,7 +73,7 @@ def test_extras_exist():
 
 
 def test_links_lead_somewhere():
-    for target in re.findall(r"\]\(([^)]+)\)", README):
+    for target in PAGE.links():
         assert target.startswith("https://") or (ROOT / target).is_file(), target
 
 
