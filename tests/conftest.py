@@ -52,6 +52,7 @@ LONG = (
     "test_second_order",
     "test_cli",
     "test_readme",
+    "test_docs",
     "subproblem",
     "test_discretization",
     "test_peaks",
