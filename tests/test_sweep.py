@@ -248,6 +248,13 @@ def test_only_what_is_missing_is_solved_again(tmp_path):
     assert_same(again, result)
 
 
+def test_numbers_may_be_written_otherwise(tmp_path):
+    swept({"vehicle.mass": [2, 3]}, folder=tmp_path)
+    nothing = Pretending()
+    swept({"vehicle.mass": np.array([2.0, 3.0])}, folder=tmp_path, executor=nothing)
+    assert nothing.asked == []
+
+
 @pytest.mark.parametrize(
     ("change", "named"),
     [

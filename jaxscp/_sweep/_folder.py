@@ -24,23 +24,15 @@ class Folder:
     """
 
     def __init__(self, path: str | Path, manifest: dict[str, Any]):
-        self._path, text = Path(path), json.dumps(manifest, indent=1, allow_nan=False)
-        self._digest = hashlib.sha256(text.encode()).hexdigest()
-        self._count = len(manifest["points"])
+        self._path, self._count = Path(path), len(manifest["points"])
         check_folder("folder", path)
         if (self._path / MANIFEST).exists():
             self._check(manifest)
-            return
-        # A process that was killed leaves hidden files.
-        others = [
-            entry.name for entry in self._path.iterdir() if not entry.name.startswith(".")
-        ]
-        if others:
-            raise ValueError(
-                f"folder {path}: has no {MANIFEST} but {min(others)}; choose an empty "
-                "folder."
-            )
-        write_bytes(self._path / MANIFEST, f"{text}\n".encode())
+        else:
+            self._begin(manifest)
+        # Of what is there: equal manifests may be written differently, as 3 and 3.0.
+        content = (self._path / MANIFEST).read_bytes()
+        self._digest = hashlib.sha256(content).hexdigest()
 
     def keep(self, index: int, record: Record) -> None:
         """Write a point's file."""
@@ -59,6 +51,19 @@ class Folder:
         if str(entries.pop("sweep")) != self._digest:
             raise ValueError(f"{path}: is a point of another sweep; remove it.")
         return Record.of_entries(entries)
+
+    def _begin(self, manifest: dict[str, Any]) -> None:
+        # A process that was killed leaves hidden files.
+        others = [
+            entry.name for entry in self._path.iterdir() if not entry.name.startswith(".")
+        ]
+        if others:
+            raise ValueError(
+                f"folder {self._path}: has no {MANIFEST} but {min(others)}; choose an "
+                "empty folder."
+            )
+        text = json.dumps(manifest, indent=1, allow_nan=False)
+        write_bytes(self._path / MANIFEST, f"{text}\n".encode())
 
     def _check(self, manifest: dict[str, Any]) -> None:
         path = self._path / MANIFEST
