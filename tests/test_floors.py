@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parents[1] / "jaxscp"
 # From the ground up. A folder's `__init__` goes by the folder's name, the package's own
 # by the empty one.
 FLOORS = (
-    {"_types", "_records", "plot._style"},
+    {"_cache", "_records", "_types", "_version", "plot._style"},
     {"_compiler", "_host", "_loop", "_nonlinear", "_tree"},
     {"_status", "_bounds", "_hold", "_progress", "_qp", "_packed"},
     {"_direction"},
@@ -46,12 +46,16 @@ FLOORS = (
     {"_audit", "_continuation", "_sensitivity_report"},
     {"_guess_plan"},
     {"_mission"},
-    {"missions"},
+    {"_data_sent", "missions"},
+    {"_files", "_sweep._points", "_sweep._record"},
+    {"_sweep._folder", "_sweep._result", "_sweep._worker"},
+    {"_sweep._run"},
+    {"_sweep"},
     {"plot._routes", "plot._series"},
     {"plot._mission"},
     {"plot"},
     {""},
-    {"_files", "_cli._arguments", "_cli._cache", "_cli._report", "_cli._timing"},
+    {"_cli._arguments", "_cli._report", "_cli._timing"},
     {"_cli._commands"},
     {"_cli"},
     {"__main__"},
