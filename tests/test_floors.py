@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parents[1] / "jaxscp"
 # From the ground up. A folder's `__init__` goes by the folder's name, the package's own
 # by the empty one.
 FLOORS = (
-    {"_types", "_records", "plot._style"},
+    {"_types", "_records", "plot._contours", "plot._style"},
     {"_compiler", "_host", "_loop", "_nonlinear", "_tree"},
     {"_status", "_bounds", "_hold", "_progress", "_qp", "_packed"},
     {"_direction"},
@@ -47,11 +47,14 @@ FLOORS = (
     {"_guess_plan"},
     {"_mission"},
     {"missions"},
-    {"plot._routes", "plot._series"},
-    {"plot._mission"},
+    {"_files", "plot._numbers", "plot._places", "plot._series"},
+    {"plot._energy", "plot._gradient_map", "plot._multipliers", "plot._pareto"},
+    {"plot._ellipses", "plot._isometric", "plot._link", "plot._profile"},
+    {"plot._top_view"},
+    {"plot._animation", "plot._mission"},
     {"plot"},
     {""},
-    {"_files", "_cli._arguments", "_cli._cache", "_cli._report", "_cli._timing"},
+    {"_cli._arguments", "_cli._cache", "_cli._report", "_cli._timing"},
     {"_cli._commands"},
     {"_cli"},
     {"__main__"},
