@@ -10,7 +10,7 @@ PACKAGE = Path(__file__).parents[1] / "jaxscp"
 # From the ground up. A folder's `__init__` goes by the folder's name, the package's own
 # by the empty one.
 FLOORS = (
-    {"_cache", "_records", "_types", "_version", "plot._style"},
+    {"_cache", "_records", "_types", "_version", "plot._contours", "plot._style"},
     {"_compiler", "_host", "_loop", "_nonlinear", "_tree"},
     {"_status", "_bounds", "_hold", "_progress", "_qp", "_packed"},
     {"_direction"},
@@ -51,8 +51,11 @@ FLOORS = (
     {"_sweep._folder", "_sweep._result", "_sweep._worker"},
     {"_sweep._run"},
     {"_sweep"},
-    {"plot._routes", "plot._series"},
-    {"plot._mission"},
+    {"plot._numbers", "plot._places", "plot._series"},
+    {"plot._energy", "plot._gradient_map", "plot._multipliers", "plot._pareto"},
+    {"plot._ellipses", "plot._isometric", "plot._link", "plot._profile"},
+    {"plot._top_view"},
+    {"plot._animation", "plot._mission"},
     {"plot"},
     {""},
     {"_cli._arguments", "_cli._report", "_cli._timing"},
