@@ -26,6 +26,7 @@ TABLES = {
     "solve": "solve",
     "breakdown": "breakdown",
     "showpieces": "showpieces",
+    "sweep": "sweep",
 }
 # ... and to the module that draws its figure.
 DRAWINGS = {

@@ -36,12 +36,12 @@ from ._solution import (
 from ._solve import SolveError as SolveError, solve as solve
 from ._state import History as History
 from ._status import Status as Status
+from ._sweep import Sweep as Sweep, sweep as sweep
 from ._trajectory import (
     Trajectory as Trajectory,
     straight_line as straight_line,
     through_waypoints as through_waypoints,
 )
 from ._verification import Verification as Verification, Violation as Violation
+from ._version import __version__ as __version__
 from .verify import verify as verify
-
-__version__ = "0.1.0"

@@ -1,4 +1,4 @@
-"""`jaxscp` and `python -m jaxscp`: list, solve, verify and audit missions."""
+"""`jaxscp` and `python -m jaxscp`: list, solve, sweep, verify and audit missions."""
 
 import sys
 from collections.abc import Sequence
@@ -12,8 +12,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status.
 
     0 if it did what was asked (a solve: converged and verified), 1 if a solve, a
-    verification or an audit did not succeed, 2 on bad input, with one line on standard
-    error.
+    sweep, a verification or an audit did not succeed, 2 on bad input, with one line on
+    standard error.
     """
     try:
         arguments = parser().parse_args(argv)
@@ -22,8 +22,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     # Only after the arguments are known to be right: these imports take seconds.
     import jax
 
+    from ._cache import keep_programs
     from ._cli import _commands
-    from ._cli._cache import keep_programs
 
     jax.config.update("jax_enable_x64", True)
     keep_programs()

@@ -4,7 +4,9 @@ import io
 import os
 import tempfile
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -60,22 +62,37 @@ def check_writable(option: str, path: str | Path) -> None:
         ) from error
 
 
+def check_folder(option: str, path: str | Path) -> None:
+    """Make a folder where there is none, and refuse one that cannot be written in.
+
+    **Raises:** `ValueError` naming the option, the path and what is wrong.
+    """
+    target = Path(path)
+    try:
+        target.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=target):
+            pass
+    except OSError as error:
+        raise ValueError(
+            f"{option} {path}: cannot write there ({error.strerror}); choose another "
+            "folder."
+        ) from error
+
+
 def save(path: str | Path, mission: Mission, trajectory: Trajectory) -> None:
     """Write a mission and its trajectory as an npz file.
 
     Entries: `time` (N,) [s], `state` (N, n) and `control` (N, m) in SI units and the
     problem's order, `final_time` [s], `mission` (JSON text).
     """
-    content = io.BytesIO()
-    np.savez(
-        content,
+    content = npz_bytes(
         time=np.asarray(trajectory.times),
         state=np.asarray(trajectory.states),
         control=np.asarray(trajectory.controls),
         final_time=np.asarray(trajectory.final_time),
         mission=np.asarray(mission.to_json()),
     )
-    write_bytes(path, content.getvalue())
+    write_bytes(path, content)
 
 
 def load(path: str | Path) -> tuple[Mission, Trajectory]:
@@ -83,7 +100,7 @@ def load(path: str | Path) -> tuple[Mission, Trajectory]:
 
     **Raises:** `ValueError` if the file is missing, truncated or not of this kind.
     """
-    entries = _read(path)
+    entries = read_npz(path, KEYS, "`jaxscp solve --save`")
     try:
         mission = Mission.from_json(str(entries["mission"]))
     except (KeyError, TypeError, ValueError) as error:
@@ -120,23 +137,33 @@ def load(path: str | Path) -> tuple[Mission, Trajectory]:
     )
 
 
-def _read(path: str | Path) -> dict[str, np.ndarray]:
-    """The entries of an npz file, complete and without running anything in it."""
+def read_npz(path: str | Path, keys: Sequence[str], writer: str) -> dict[str, np.ndarray]:
+    """Entries of an npz file, complete and without running anything in it.
+
+    **Arguments:**
+
+    - `writer`: what writes such files, for the error.
+
+    **Raises:** `ValueError` if the file is missing, truncated or lacks one of them.
+    """
     if not Path(path).is_file():
         raise ValueError(f"{path}: no such file.")
     # NumPy would take anything else for a pickle.
     if not zipfile.is_zipfile(path):
-        raise ValueError(
-            f"{path}: not a complete npz file; write one with `jaxscp solve --save`."
-        )
+        raise ValueError(f"{path}: not a complete npz file; write one with {writer}.")
     try:
         with np.load(path, allow_pickle=False) as archive:
-            missing = [key for key in KEYS if key not in archive]
+            missing = [key for key in keys if key not in archive]
             if missing:
                 raise ValueError(f"it lacks {', '.join(missing)}")
-            return {key: archive[key] for key in KEYS}
+            return {key: archive[key] for key in keys}
     # A damaged archive makes zipfile and NumPy raise nearly every kind of exception.
     except Exception as error:
-        raise ValueError(
-            f"{path}: not a file of `jaxscp solve --save` ({error})."
-        ) from error
+        raise ValueError(f"{path}: not a file of {writer} ({error}).") from error
+
+
+def npz_bytes(**entries: Any) -> bytes:
+    """The content of an npz file."""
+    content = io.BytesIO()
+    np.savez(content, **entries)
+    return content.getvalue()

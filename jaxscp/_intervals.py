@@ -8,6 +8,7 @@ import jax.flatten_util
 import jax.numpy as jnp
 
 from ._flow import Course, Flow
+from ._loop import over_all
 from ._step import Span
 from ._types import Array, Float, Scalar
 
@@ -112,8 +113,8 @@ def linearize(
         held = (left, right) if two_sided else (left,)
         return _value_and_jacobian(ends, (x, final_time, *held))
 
-    ends, (by_state, by_time, by_left, *by_right) = jax.vmap(interval)(
-        *grid, states[:-1], controls[:-1], controls[1:]
+    ends, (by_state, by_time, by_left, *by_right) = over_all(
+        interval, *grid, states[:-1], controls[:-1], controls[1:]
     )
     whole = Jacobian(
         left_state=by_state,

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 
 from ._curvature import Curvature
+from ._loop import over_all
 from ._per_constraint import PerConstraint
 from ._second_order import interval_hessian
 from ._step import Span
@@ -123,8 +124,8 @@ def _interval_blocks(transcription, variables, substeps, multipliers) -> Array:
 
     starts, widths = transcription.grid
     left, right = controls[:-1], controls[1:]
-    return jax.vmap(block)(
-        starts, widths, variables.states[:-1], left, right, weights, pushes
+    return over_all(
+        block, starts, widths, variables.states[:-1], left, right, weights, pushes
     )
 
 

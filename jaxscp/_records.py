@@ -17,7 +17,7 @@ def to_dict(module: eqx.Module) -> dict[str, Any]:
     again.
     """
     return {
-        field.name: _plain(getattr(module, field.name))
+        field.name: plain(getattr(module, field.name))
         for field in dataclasses.fields(module)
     }
 
@@ -86,7 +86,8 @@ def unknown_path(path: str, valid: Iterable[str]) -> ValueError:
     return ValueError(f"{path}: no such entry; valid ones are {', '.join(valid)}.")
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """As JSON has it: Modules become dictionaries, arrays lists, None stays."""
     if isinstance(value, eqx.Module):
         return to_dict(value)
     if value is None or isinstance(value, str):

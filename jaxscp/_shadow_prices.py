@@ -86,7 +86,7 @@ def shadow_prices(solution: Solution) -> ShadowPrices:
     prices: list[ShadowPrice] = []
 
     def add(name: str, limit: str, value: Scalar) -> None:
-        prices.append(ShadowPrice(name, limit, _unit(problem, name), value))
+        prices.append(ShadowPrice(name, limit, price_unit(problem, name), value))
 
     for row in _rows(solution):
         if row.bounds.fixed[row.entry]:
@@ -105,10 +105,19 @@ def shadow_prices(solution: Solution) -> ShadowPrices:
     return ShadowPrices(tuple(prices), multipliers.dynamics, times)
 
 
-def _unit(problem: OptimalControlProblem, name: str) -> str:
+def price_unit(problem: OptimalControlProblem, name: str) -> str:
+    """The unit of what one unit of a named quantity costs."""
     objective = problem.unit("objective") or "objective"
     own = problem.unit_of_entry(name) or "unit"
-    return f"{objective} / ({own})" if " " in own else f"{objective} / {own}"
+    compound = " " in own or "/" in own
+    return f"{objective} / ({own})" if compound else f"{objective} / {own}"
+
+
+def owned_by_end(own: Bounds, end: Bounds) -> tuple[Array, Array]:
+    """Whether lower and upper limits at an end are its own: fixed there, or as tight."""
+    lower = jnp.isfinite(end.lower) & (end.lower >= own.lower)
+    upper = jnp.isfinite(end.upper) & (end.upper <= own.upper)
+    return jnp.logical_or(end.is_fixed, lower), jnp.logical_or(end.is_fixed, upper)
 
 
 def _prices(multiplier: Array) -> tuple[Array, Array]:
@@ -137,10 +146,9 @@ def _of_states(solution: Solution) -> Iterator[_Row]:
         ("first ", 0, problem.initial_state),
         ("last ", -1, problem.final_state),
     ):
-        tighter = jnp.isfinite(end.lower) & (end.lower >= own.lower)
-        low = jnp.where(end.is_fixed | tighter, below[node], 0.0)
-        tighter = jnp.isfinite(end.upper) & (end.upper <= own.upper)
-        high = jnp.where(end.is_fixed | tighter, above[node], 0.0)
+        lower, upper = owned_by_end(own, end)
+        low = jnp.where(lower, below[node], 0.0)
+        high = jnp.where(upper, above[node], 0.0)
         below, above = below.at[node].add(-low), above.at[node].add(-high)
         for index, name in enumerate(problem.state_names):
             yield _Row(name, kind, end, index, low[index], high[index])

@@ -102,6 +102,7 @@ def solve(
     mission: Mission,
     method: AbstractSCP = ProximalSCP(),  # noqa: B008  (immutable)
     *,
+    guess: Trajectory | None = None,
     enforce: str = "between",
     grid: str = "uniform",
     nodes: int | ArrayLike = 100,
@@ -117,6 +118,8 @@ def solve(
 
     **Arguments:**
 
+    - `guess`: where to start instead, such as the solution of a similar mission. It has
+        nodes of its own, and where it leads nowhere nothing else is tried.
     - `enforce`: "between" holds tilt, floor and buildings within the intervals as well,
         as a flight must; "nodes", as in the paper, at the nodes alone.
     - `grid`: "uniform", as in the paper, spaces the nodes as the guess does; "free" lets
@@ -128,9 +131,8 @@ def solve(
     **Raises:** what [`jaxscp.solve`][] raises; `ValueError` for another `enforce`
     or `grid`.
     """
-    if enforce not in ENFORCED:
-        raise ValueError(f"enforce={enforce!r}: choose 'nodes' or 'between'.")
-    starts = guesses(mission, nodes, grid=grid)
+    check_settings(enforce, grid)
+    starts = guesses(mission, nodes, grid=grid) if guess is None else (guess,)
     settings: dict[str, Any] = {
         "method": method,
         "discretization": dataclasses.replace(GRIDS[grid], between=ENFORCED[enforce]),
@@ -142,7 +144,8 @@ def solve(
     solution = solve_problem(mission.problem(), starts, throw=at_once, **settings)
     if not known:
         return solution
-    if not bool(solution.converged) and mission.data_required is not None:
+    steps = guess is None and mission.data_required is not None
+    if steps and not bool(solution.converged):
         solution = _with_rising_data(mission, starts[0].fractions, solution, settings)
     if throw and not bool(solution.converged):
         raise SolveError(solution)
@@ -156,8 +159,7 @@ def guesses(
 
     **Raises:** `ValueError` for an unknown grid.
     """
-    if grid not in GRIDS:
-        raise ValueError(f"grid={grid!r}: choose 'uniform' or 'free'.")
+    check_settings(grid=grid)
     if grid == "free" and mission.plan.transit_share is None:
         mission = eqx.tree_at(
             lambda mission: mission.plan.transit_share,
@@ -166,6 +168,13 @@ def guesses(
             is_leaf=lambda leaf: leaf is None,
         )
     return mission.guesses(nodes)
+
+
+def check_settings(enforce: str = "between", grid: str = "uniform") -> None:
+    """**Raises:** `ValueError` for another `enforce` or `grid` than [`solve`][] knows."""
+    for name, value, known in (("enforce", enforce, ENFORCED), ("grid", grid, GRIDS)):
+        if value not in known:
+            raise ValueError(f"{name}={value!r}: choose {' or '.join(map(repr, known))}.")
 
 
 def paths(mission: Mission) -> tuple[str, ...]:

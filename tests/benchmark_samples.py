@@ -54,6 +54,25 @@ SAMPLES = {
         "| free-flight | IPOPT, scaled | 24,380.59 | 1e-13 | 2 | 2.60 | 2.00 | 804"
         " | solve succeeded | 5.2 times |",
     ),
+    "sweep": (
+        {
+            "sweeps": [
+                {
+                    "kind": "jaxscp",
+                    "workers": workers,
+                    "programs": "kept",
+                    "seconds": seconds,
+                    "cpu_seconds": 60.0,
+                    "points": 64,
+                    "succeeded": 63,
+                    "same": True,
+                }
+                for workers, seconds in ((1, 80.0), (2, 44.0))
+            ],
+            "killed": {"kept": 32, "solved_again": 32, "seconds": 20.0, "succeeded": 63},
+        },
+        "| 2 jaxscp | kept | 44.0 | 0.55 | 60 | 63 of 64 | yes |",
+    ),
     "solve": (
         {
             "rows": [

@@ -46,7 +46,7 @@ def test_first_command_solves_the_urban_mission():
     assert first_solve()[:2] == ["solve", "urban-30MB-60dB"]
 
 
-@pytest.mark.parametrize("command", ["solve", "verify", "audit"])
+@pytest.mark.parametrize("command", ["solve", "sweep", "verify", "audit"])
 def test_every_option_is_shown(command, capsys):
     main([command, "--help"])
     for option in set(re.findall(r"--[a-z]+", capsys.readouterr().out)) - {"--help"}:

@@ -33,10 +33,11 @@ def parser() -> argparse.ArgumentParser:
         "1 if not; 2 on bad input.",
     )
     commands = top.add_subparsers(
-        dest="command", required=True, metavar="{missions,solve,verify,audit}"
+        dest="command", required=True, metavar="{missions,solve,sweep,verify,audit}"
     )
     commands.add_parser("missions", help="list the missions, a line each")
     _add_solve(commands)
+    _add_sweep(commands)
     check = commands.add_parser("verify", help="check a saved solution independently")
     check.add_argument("file", metavar="FILE.npz", help="written by solve --save")
     _add_enforce(check, "nodes", "where limits must hold")
@@ -51,20 +52,7 @@ def _add_solve(commands: Any) -> None:
         description="Solve a mission, verify the solution and print a short table.",
     )
     _add_mission(solve)
-    solve.add_argument(
-        "--grid",
-        choices=GRIDS,
-        default=GRIDS[0],
-        help="how they are spaced: evenly, or freely, each interval near the durations "
-        "of its neighbours (default: %(default)s)",
-    )
-    solve.add_argument(
-        "--method",
-        choices=METHODS,
-        default=METHODS[0],
-        help="how the convex subproblems follow each other (default: %(default)s)",
-    )
-    _add_enforce(solve, "between", WHERE_LIMITS_HOLD)
+    _add_settings(solve)
     solve.add_argument("--json", metavar="FILE", help="write the result as JSON")
     solve.add_argument(
         "--save", metavar="FILE.npz", help="write time, state and control in SI units"
@@ -74,6 +62,46 @@ def _add_solve(commands: Any) -> None:
     )
     solve.add_argument(
         "--quiet", action="store_true", help="print nothing but what went wrong"
+    )
+
+
+def _add_sweep(commands: Any) -> None:
+    sweep = commands.add_parser(
+        "sweep",
+        help="solve and verify a mission with many values",
+        description="Solve a mission with every combination of the values, side by side "
+        "in several processes, verify the solutions and print a table.",
+    )
+    _add_mission(sweep)
+    sweep.add_argument(
+        "--over",
+        metavar="PATH=JSON-LIST",
+        action="append",
+        required=True,
+        type=assignment,
+        help="values to take, as in --over vehicle.mass=[2.5,3]; repeatable",
+    )
+    sweep.add_argument(
+        "--along",
+        metavar="PATH",
+        help="start each solve from the solution with the value before, where all else "
+        "is the same",
+    )
+    _add_settings(sweep)
+    sweep.add_argument(
+        "--workers",
+        metavar="N",
+        type=positive,
+        help="number of processes (default: one for each core)",
+    )
+    sweep.add_argument(
+        "--folder",
+        metavar="DIR",
+        help="keep each solution there at once, and solve only what is missing",
+    )
+    sweep.add_argument("--csv", metavar="FILE", help="write the table as CSV")
+    sweep.add_argument(
+        "--npz", metavar="FILE", help="write table and trajectories for Sweep.load"
     )
 
 
@@ -130,6 +158,23 @@ def _add_mission(command: Any) -> None:
     )
 
 
+def _add_settings(command: Any) -> None:
+    command.add_argument(
+        "--grid",
+        choices=GRIDS,
+        default=GRIDS[0],
+        help="how they are spaced: evenly, or freely, each interval near the durations "
+        "of its neighbours (default: %(default)s)",
+    )
+    command.add_argument(
+        "--method",
+        choices=METHODS,
+        default=METHODS[0],
+        help="how the convex subproblems follow each other (default: %(default)s)",
+    )
+    _add_enforce(command, "between", WHERE_LIMITS_HOLD)
+
+
 def _add_enforce(command: Any, default: str, meaning: str) -> None:
     command.add_argument(
         "--enforce",
@@ -157,8 +202,17 @@ def assignment(text: str) -> tuple[str, Any]:
 
 def node_count(text: str) -> int:
     """A number of nodes: an integer of at least 2."""
-    if not text.isdecimal() or int(text) < 2:
-        raise argparse.ArgumentTypeError(f"{text!r}: give an integer of at least 2")
+    return _at_least(2, text)
+
+
+def positive(text: str) -> int:
+    """An integer of at least 1."""
+    return _at_least(1, text)
+
+
+def _at_least(least: int, text: str) -> int:
+    if not text.isdecimal() or int(text) < least:
+        raise argparse.ArgumentTypeError(f"{text!r}: give an integer of at least {least}")
     return int(text)
 
 

@@ -6,6 +6,7 @@ import io
 import json
 import sys
 import time
+from concurrent.futures import BrokenExecutor
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from .._paper import PaperSCP
 from .._proximal import ProximalSCP
 from .._sensitivity_report import sensitivity_report
 from .._solution import Solution
+from .._sweep import sweep as run_sweep
 from .._trajectory import Trajectory
 from .._validation import check_guesses, check_problem
 from .._verification import Verification
@@ -30,6 +32,7 @@ from ._report import as_json, finite, progress_line, table
 from ._timing import CompileClock, process_age
 
 SUCCESS, FAILURE = 0, 1
+METHODS = {"proximal": ProximalSCP, "paper": PaperSCP}
 
 
 def missions(arguments: argparse.Namespace) -> int:
@@ -59,7 +62,9 @@ def solve(arguments: argparse.Namespace) -> int:
     """Solve a mission, verify the solution and write what was asked for."""
     seconds = {"import": process_age()}
     try:
-        _check_outputs(arguments)
+        _check_outputs(arguments, "json", "save", "plot")
+        if arguments.plot is not None:
+            _check_format(arguments.plot)
         mission, guesses = _checked_mission(arguments, arguments.grid)
     except ValueError as error:
         raise InputError(error) from error
@@ -75,6 +80,34 @@ def solve(arguments: argparse.Namespace) -> int:
     elif not good:
         print(f"{mission.name}: {solution.message}", file=sys.stderr)
     return SUCCESS if good else FAILURE
+
+
+def sweep(arguments: argparse.Namespace) -> int:
+    """Solve and verify a mission with many values, and write what was asked for."""
+    try:
+        _check_outputs(arguments, "csv", "npz")
+        result = run_sweep(
+            _mission(arguments),
+            _swept(arguments),
+            along=arguments.along,
+            workers=arguments.workers,
+            folder=arguments.folder,
+            method=METHODS[arguments.method](),
+            enforce=arguments.enforce,
+            grid=arguments.grid,
+            nodes=arguments.nodes,
+        )
+    except ValueError as error:
+        raise InputError(error) from error
+    except BrokenExecutor as error:
+        print(f"jaxscp sweep: {error}", file=sys.stderr)
+        return FAILURE
+    if arguments.csv is not None:
+        result.to_csv(arguments.csv)
+    if arguments.npz is not None:
+        result.to_npz(arguments.npz)
+    print(result)
+    return SUCCESS if result.succeeded.all() else FAILURE
 
 
 def audit(arguments: argparse.Namespace) -> int:
@@ -122,9 +155,7 @@ def _checked_mission(
     arguments: argparse.Namespace, grid: str = "uniform"
 ) -> tuple[Mission, tuple[Trajectory, ...]]:
     """The mission that was asked for, and where its solve starts."""
-    mission = catalogue.replace_many(
-        catalogue.get(arguments.mission), dict(arguments.changes)
-    )
+    mission = _mission(arguments)
     problem = mission.problem()
     guesses = catalogue.guesses(mission, arguments.nodes, grid=grid)
     # `solve` would say the same. Asked here, what it raises later is a fault of the
@@ -134,11 +165,26 @@ def _checked_mission(
     return mission, guesses
 
 
+def _mission(arguments: argparse.Namespace) -> Mission:
+    mission = catalogue.get(arguments.mission)
+    return catalogue.replace_many(mission, dict(arguments.changes))
+
+
+def _swept(arguments: argparse.Namespace) -> dict[str, Any]:
+    """The values of each path."""
+    values: dict[str, Any] = {}
+    for path, column in arguments.over:
+        if path in values:
+            raise ValueError(f"--over {path}: given twice; put its values in one list.")
+        values[path] = column
+    return values
+
+
 def _timed_solve(
     mission: Mission, arguments: argparse.Namespace
 ) -> tuple[Solution, dict[str, float]]:
     """The solution, converged or not, and the seconds to compile and to solve."""
-    method = {"proximal": ProximalSCP, "paper": PaperSCP}[arguments.method]()
+    method = METHODS[arguments.method]()
     terminal = sys.stdout.isatty() and sys.stderr.isatty()
     progress = _show_progress if terminal and not arguments.quiet else None
     began = time.perf_counter()
@@ -193,12 +239,10 @@ def _format(path: str) -> str:
     return Path(path).suffix.removeprefix(".").lower()
 
 
-def _check_outputs(arguments: argparse.Namespace) -> None:
-    for option in ("json", "save", "plot"):
+def _check_outputs(arguments: argparse.Namespace, *options: str) -> None:
+    for option in options:
         if (path := getattr(arguments, option)) is not None:
             _files.check_writable(f"--{option}", path)
-    if arguments.plot is not None:
-        _check_format(arguments.plot)
 
 
 def _check_format(path: str) -> None:

@@ -5,10 +5,10 @@ import platform
 from importlib import metadata
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from .._attempt import Attempt
+from .._data_sent import data_sent
 from .._solution import Solution
 from .._status import name_of
 from .._verification import Verification
@@ -39,7 +39,7 @@ def as_json(
         "verified": bool(verification.verified),
         "objective": float(solution.objective),
         "final_time": float(solution.trajectory.final_time),
-        "data_bits": data_bits(mission, verification),
+        "data_bits": data_sent(mission, verification),
         "data_required_bits": None if required is None else float(required),
         "defect_max": largest_defect(solution),
         "position_error": position_error(verification),
@@ -142,17 +142,8 @@ def largest_defect(solution: Solution) -> float:
     return float(np.max(defects / np.asarray(scales)))
 
 
-def data_bits(mission: Mission, verification: Verification) -> float:
-    """Data transferred on the way [bit], also where the mission requires none."""
-    if "data" in verification.integrals:
-        return verification.integrals["data"]
-    dense = verification.dense
-    positions = jnp.asarray(dense.states[:, :3])
-    return float(mission.channel.throughput(jnp.asarray(dense.times), positions))
-
-
 def _data(mission: Mission, verification: Verification) -> str:
-    text = f"{data_bits(mission, verification) / 1e6:.3f} Mbit"
+    text = f"{data_sent(mission, verification) / 1e6:.3f} Mbit"
     if mission.data_required is None:
         return f"{text}, none required"
     return f"{text} of {float(mission.data_required) / 1e6:.3f} Mbit required"

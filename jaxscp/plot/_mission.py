@@ -10,11 +10,11 @@ from mpl_toolkits.mplot3d import Axes3D
 from .._solution import Solution
 from .._trajectory import Trajectory
 from ..missions import Mission
-from ._routes import isometric, top_view
+from ._isometric import isometric
+from ._link import rate, rates
 from ._series import control, curves, dense
-from ._style import BLUE, LIMIT, shade_limits
-
-MEGA = 1e6
+from ._style import BLUE, LIMIT, MEGA, shade_limits
+from ._top_view import top_view
 
 
 def mission(
@@ -47,7 +47,7 @@ def mission(
     _speed(panels[0], route)
     _tilt(panels[1], mission, route)
     _thrust(panels[2], mission, solution)
-    _rate(panels[3], mission, route)
+    rate(panels[3], mission, route)
     _data(panels[4], mission, route)
     panels[-1].set_xlabel("time [s]")
     figure.suptitle(_title(mission, solution))
@@ -81,19 +81,9 @@ def _thrust(ax: Axes, mission: Mission, solution: Solution) -> None:
     ax.set_ylabel("thrust [N]")
 
 
-def _rates(mission: Mission, route: Trajectory) -> np.ndarray:
-    """Data rate along the route [bit/s]."""
-    return np.asarray(mission.channel.rate(route.states[:, :3]))
-
-
-def _rate(ax: Axes, mission: Mission, route: Trajectory) -> None:
-    ax.plot(route.times, _rates(mission, route) / MEGA, color=BLUE)
-    ax.set_ylabel("rate [Mbit/s]")
-
-
 def _data(ax: Axes, mission: Mission, route: Trajectory) -> None:
-    rates, times = _rates(mission, route), np.asarray(route.times)
-    steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times)
+    flow, times = rates(mission, route), np.asarray(route.times)
+    steps = 0.5 * (flow[1:] + flow[:-1]) * np.diff(times)
     ax.plot(times, np.concatenate([[0.0], np.cumsum(steps)]) / MEGA, color=BLUE)
     if mission.data_required is not None:
         required = float(mission.data_required) / MEGA

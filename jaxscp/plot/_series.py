@@ -1,15 +1,12 @@
 """States, controls and convergence of any solution."""
 
-from collections.abc import Sequence
-from typing import TypeAlias
-
 import numpy as np
 from matplotlib.axes import Axes
 
 from .._bounds import Bounds
 from .._solution import Solution
 from .._trajectory import Trajectory
-from ._style import BLUE, CYCLE, label, shade_limits
+from ._style import BLUE, CYCLE, ManyAxes, check_count, label, shade_limits
 
 SAMPLES = 1001
 
@@ -18,10 +15,6 @@ def dense(solution: Solution) -> Trajectory:
     """The solution between its nodes, evenly spaced in time."""
     final_time = float(solution.trajectory.final_time)
     return solution.sample(np.linspace(0.0, final_time, SAMPLES))
-
-
-# A list, or what `Figure.subplots` gives.
-ManyAxes: TypeAlias = Sequence[Axes] | np.ndarray
 
 
 def states(axes: ManyAxes, solution: Solution) -> ManyAxes:
@@ -35,7 +28,7 @@ def states(axes: ManyAxes, solution: Solution) -> ManyAxes:
     **Raises:** `ValueError` if the number of Axes is not that of the states.
     """
     problem = solution.problem
-    _check_count(axes, problem.state_names, "state")
+    check_count(axes, problem.state_names, "state")
     between, nodal = dense(solution), solution.trajectory
     for index, (ax, name) in enumerate(zip(axes, problem.state_names, strict=True)):
         ax.plot(between.times, between.states[:, index], color=BLUE)
@@ -56,7 +49,7 @@ def controls(axes: ManyAxes, solution: Solution) -> ManyAxes:
     **Raises:** `ValueError` if the number of Axes is not that of the controls.
     """
     problem = solution.problem
-    _check_count(axes, problem.control_names, "control")
+    check_count(axes, problem.control_names, "control")
     for index, (ax, name) in enumerate(zip(axes, problem.control_names, strict=True)):
         control(ax, solution, index)
         _finish(ax, name, problem.unit(name), problem.control, index)
@@ -112,11 +105,3 @@ def curves(ax: Axes, times: np.ndarray, values: dict[str, np.ndarray]) -> Axes:
 def _finish(ax: Axes, name: str, unit: str, bounds: Bounds, index: int) -> None:
     shade_limits(ax, float(bounds.lower[index]), float(bounds.upper[index]))
     ax.set_ylabel(label(name, unit))
-
-
-def _check_count(axes: ManyAxes, names: tuple[str, ...], kind: str) -> None:
-    if len(axes) != len(names):
-        raise ValueError(
-            f"axes has {len(axes)} entries for {len(names)} {kind}s; give one for each "
-            f"of {', '.join(names)}."
-        )

@@ -1,7 +1,14 @@
-"""Colours, and how limits are shown."""
+"""Colours, units, and how limits are shown."""
+
+import re
+from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
+
+# A list, or what `Figure.subplots` gives.
+ManyAxes: TypeAlias = Sequence[Axes] | np.ndarray
 
 # The palette of Okabe and Ito, told apart with every common colour vision.
 BLACK = "#000000"
@@ -12,23 +19,43 @@ PURPLE = "#CC79A7"
 SKY = "#56B4E9"
 VERMILLION = "#D55E00"
 GREY = "#999999"
+DARK = "#4D4D4D"
 
 # Kept for limits alone.
 LIMIT = VERMILLION
 CYCLE = (BLUE, GREEN, PURPLE, ORANGE, SKY, BLACK)
 MARGIN = 0.08
+MEGA = 1e6
+MINUS = "\N{MINUS SIGN}"
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def typeset(unit: str) -> str:
+    """A unit with its exponents raised: "N^2 s" becomes "N² s"."""
+    return re.sub(r"\^(-?\d+)", lambda found: found[1].translate(_RAISED), unit)
 
 
 def label(name: str, unit: str) -> str:
     """Axis label with the unit in brackets, if there is one."""
-    return f"{name} [{unit}]" if unit else name
+    return f"{name} [{typeset(unit)}]" if unit else name
 
 
-def shade_limits(ax: Axes, lower: float, upper: float, *, always: bool = False) -> Axes:
+def check_count(axes: ManyAxes, names: Sequence[str], kind: str) -> None:
+    """**Raises:** `ValueError` unless there is one Axes for each name."""
+    if len(axes) != len(names):
+        raise ValueError(
+            f"axes has {len(axes)} entries for {len(names)} {kind}s; give one for each "
+            f"of {', '.join(names)}."
+        )
+
+
+def shade_limits(
+    ax: Axes, lower: float, upper: float, *, always: bool = False, name: str = ""
+) -> Axes:
     """Shade what lies outside the limits, after the data has been drawn.
 
     A limit farther from the data than the data's own spread is left out, since showing
-    it would flatten the curve; `always` shows it all the same.
+    it would flatten the curve; `always` shows it all the same. `name` goes to the legend.
     """
     low, high = data_range(ax)
     spread = high - low
@@ -42,7 +69,7 @@ def shade_limits(ax: Axes, lower: float, upper: float, *, always: bool = False) 
     for limit, edge in ((lower, shown_low), (upper, shown_high)):
         if np.isfinite(limit) and shown_low <= limit <= shown_high:
             ax.axhspan(limit, edge, color=LIMIT, alpha=0.15, linewidth=0)
-            ax.axhline(limit, color=LIMIT, linewidth=0.8)
+            ax.axhline(limit, color=LIMIT, linewidth=0.8, label=name or None)
     return ax
 
 

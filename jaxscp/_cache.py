@@ -1,0 +1,94 @@
+"""Where the command line and the workers of sweeps keep what they compiled."""
+
+import contextlib
+import hashlib
+import os
+import platform
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.monitoring
+
+try:
+    import fcntl
+except ImportError:  # On Windows.
+    fcntl = None  # type: ignore[assignment]
+
+_FOLDER = "jax_compilation_cache_dir"
+# Of Linux' description of a processor, what programs compiled for it depend on.
+_FEATURES = ("model name", "flags", "Features")
+# What JAX says when it begins to compile a program, and when it has it.
+_COMPILING = "/jax/core/compile/backend_compile_duration"
+
+
+def keep_programs() -> None:
+    """Turn JAX's persistent cache on, unless the user has chosen a folder for it.
+
+    `JAX_ENABLE_COMPILATION_CACHE=false` turns it off.
+    """
+    if getattr(jax.config, _FOLDER) is not None:
+        return
+    folder = _folder()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return
+    if not os.access(folder, os.W_OK):
+        return
+    jax.config.update(_FOLDER, str(folder))
+    # Small programs, too: there are dozens of them.
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+def compile_in_turn() -> None:
+    """Let processes that share a cache compile one at a time, for good.
+
+    Started together they need the same programs: the first to get there compiles, and
+    the others, when it is their turn, find what it has kept. Without a cache, or without
+    locks of files, each compiles for itself.
+    """
+    folder = getattr(jax.config, _FOLDER)
+    if fcntl is None or folder is None:
+        return
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        turn = os.open(Path(folder) / "jaxscp.lock", os.O_RDWR | os.O_CREAT)
+    except OSError:
+        return
+
+    # JAX tells of both in the thread that compiles, before it looks into the cache and
+    # after it has written to it. A process that is killed in between lets go, too.
+    def begin(event: str, value: float | int, **details: Any) -> None:
+        if event == _COMPILING:
+            _lock(turn, fcntl.LOCK_EX)
+
+    def end(event: str, duration_secs: float, **details: Any) -> None:
+        if event == _COMPILING:
+            _lock(turn, fcntl.LOCK_UN)
+
+    jax.monitoring.register_scalar_listener(begin)
+    jax.monitoring.register_event_duration_secs_listener(end)
+
+
+def _lock(file: int, operation: int) -> None:
+    # Some file systems know no locks.
+    with contextlib.suppress(OSError):
+        fcntl.flock(file, operation)
+
+
+def _folder() -> Path:
+    """One for each kind of processor: homes are shared, programs are not."""
+    home = os.environ.get("XDG_CACHE_HOME")
+    caches = Path(home) if home else Path.home() / ".cache"
+    return caches / "jaxscp" / hashlib.sha256(_processor().encode()).hexdigest()[:16]
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
+    except OSError:
+        lines = []
+    # Alike for all of a machine's processors.
+    features = sorted({line for line in lines if line.startswith(_FEATURES)})
+    return "\n".join([platform.machine(), platform.processor(), *features])
