@@ -1,21 +1,25 @@
 """Sweeps: what is solved, by whom, in which order, and what is kept of it."""
 
 import csv
+import dataclasses
 import functools
-import json
 import os
+import re
+import subprocess
 import sys
-from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, Future
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
 
 import jaxscp
-from jaxscp import Sweep, missions, sweep
+from jaxscp import Status, Sweep, missions, sweep
 from jaxscp.__main__ import main
 from jaxscp._cli import _commands
 from jaxscp._sweep._record import Record
+from jaxscp._sweep._worker import Origin, solve_point
 
 # As the command line's tests have it: one program serves both.
 pytestmark = pytest.mark.xdist_group("test_cli")
@@ -404,8 +408,79 @@ def test_the_command_refuses_bad_input(arguments, named, command, capsys):
     assert named in output.err
 
 
-# Two of them converge; within a fifth of the time that is needed none can.
-REAL = {"final_time_range": [[1.0, 2000.0], [1.0, 5.0]], "vehicle.mass": [3.0, 2.9]}
+REAL = {"goal": GOALS, "vehicle.mass": [3.0, 2.9]}
+
+
+@functools.cache
+def solution():
+    """Of the first point, from its own guess."""
+    return missions.solve(mission_of(3.0), nodes=NODES)
+
+
+def mission_of(mass):
+    return missions.replace(missions.get("free-flight"), "vehicle.mass", mass)
+
+
+def told_to(answers, monkeypatch):
+    """A worker's record where solves end so, and the guesses they started from."""
+    guesses, left = [], list(answers)
+
+    def solve(mission, *, guess=None, throw, **settings):
+        guesses.append(guess)
+        return left.pop(0)
+
+    monkeypatch.setattr(missions, "solve", solve)
+    settings = {"enforce": "between", "nodes": NODES}
+    text = mission_of(3.0).to_json()
+    record = solve_point(Origin.here(), text, pretended(2.0), settings)
+    assert not left
+    return record, guesses
+
+
+def test_a_worker_starts_where_it_is_told(monkeypatch):
+    record, guesses = told_to([solution()], monkeypatch)
+    assert (record.status, record.error) == ("converged", "")
+    assert record.converged
+    assert record.polished
+    assert record.verified
+    assert record.objective == float(solution().objective)
+    assert record.data == pytest.approx(5e3, rel=0.2)
+    (guess,) = guesses
+    assert float(guess.final_time) == 20.0
+
+
+def test_a_worker_tries_the_mission_s_own_guesses_then(monkeypatch):
+    lost = dataclasses.replace(solution(), status=Status.iteration_limit)
+    record, guesses = told_to([lost, solution()], monkeypatch)
+    assert guesses[1] is None
+    assert record.converged
+    record, _ = told_to([lost, lost], monkeypatch)
+    assert (record.status, record.error) == ("iteration_limit", lost.message)
+    assert not record.converged
+
+
+def test_a_worker_says_what_is_not_verified(monkeypatch):
+    flight = solution().trajectory
+    tilted = flight.states.at[9, 6].set(0.7)
+    wrong = eqx.tree_at(lambda s: s.trajectory.states, solution(), tilted)
+    record, _ = told_to([wrong], monkeypatch)
+    assert (record.converged, record.verified) == (True, False)
+    assert record.error.startswith("Not verified: roll broken by 8.91e-02 rad at ")
+    # Off for the interval that ends there and the one that begins there.
+    moved = flight.states.at[9, 0].add(1.0)
+    wrong = eqx.tree_at(lambda s: s.trajectory.states, solution(), moved)
+    record, _ = told_to([wrong], monkeypatch)
+    assert re.match(
+        r"Not verified: flown again, interval [89] ends off its node in x\.", record.error
+    )
+
+
+def test_a_worker_s_errors_are_told():
+    record = solve_point(Origin.here(), "{}", None, {"enforce": "nodes"})
+    assert (record.status, record.converged) == ("raised", False)
+    assert record.error == "name is missing: give it a value."
+    record = solve_point(Origin.here(), mission_of(3.0).to_json(), None, {})
+    assert record.error.startswith("KeyError: ")
 
 
 @functools.cache
@@ -415,32 +490,17 @@ def flown():
 
 
 @pytest.mark.slow
-def test_two_processes_find_what_one_does():
-    """... and say of the others why they failed."""
+def test_two_processes_find_what_one_solve_does():
     result = flown()
-    assert result.succeeded.tolist() == [True, True, False, False]
-    assert result.table["polished"].tolist() == [True, True, False, False]
-    for index in (0, 1):
-        solution = missions.solve(result.mission(index), nodes=NODES)
-        row = result.table[index]
-        assert row["objective"] == pytest.approx(float(solution.objective), rel=1e-8)
-        np.testing.assert_allclose(
-            result.trajectories[index].states, solution.trajectory.states, atol=1e-4
-        )
-    # The second started from the first.
+    assert result.succeeded.all()
+    first, expected = result.table[0], solution()
+    assert first["objective"] == pytest.approx(float(expected.objective), rel=1e-9)
+    for name in ("states", "controls"):
+        found = getattr(result.trajectories[0], name)
+        np.testing.assert_allclose(found, getattr(expected.trajectory, name), atol=1e-4)
+    # The second of a line starts from the first.
     took = result.table["iterations"] + result.table["polish_iterations"]
     assert took[1] < took[0]
-    assert (result.table["error"][:2] == "").all()
-    assert all("final time" in error or error for error in result.table["error"][2:])
-
-
-@pytest.mark.slow
-def test_threads_of_this_process_serve_too():
-    values = {path: column[:1] for path, column in REAL.items()}
-    with ThreadPoolExecutor(1) as executor:
-        result = sweep("free-flight", values, executor=executor, nodes=NODES)
-    (found,), expected = result.table["objective"], flown().table["objective"][0]
-    assert found == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.slow
@@ -451,16 +511,12 @@ def test_dask_finds_the_same():
     )
     with cluster, distributed.Client(cluster) as client:
         executor = client.get_executor()
-        result = sweep(
-            "free-flight", REAL, along="vehicle.mass", executor=executor, nodes=NODES
-        )
+        settings = {"along": "vehicle.mass", "executor": executor, "nodes": NODES}
+        result = sweep("free-flight", REAL, **settings)
     assert_same(result, flown(), apart_from="seconds")
 
 
-def test_importing_it_starts_nothing(tmp_path):
+def test_importing_it_starts_nothing():
     """Neither processes nor tqdm's thread."""
-    import subprocess
-
     code = "import threading, jaxscp; assert threading.active_count() == 1"
     subprocess.run([sys.executable, "-c", code], check=True)
-    assert json.dumps(swept().manifest)
