@@ -18,6 +18,7 @@ from ._problem import (
 )
 from ._proximal import ProximalSCP as ProximalSCP
 from ._qp import PIQP as PIQP
+from ._reproduction import Reproduction as Reproduction, reproduce as reproduce
 from ._scp import AbstractSCP as AbstractSCP
 from ._sensitivity_report import (
     SensitivityReport as SensitivityReport,

@@ -72,13 +72,18 @@ def with_entries(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[
     return changed
 
 
-def dotted_paths(values: Mapping[str, Any], path: str = "") -> Iterable[str]:
+def dotted_paths(values: Mapping[str, Any]) -> Iterable[str]:
     """Paths of all entries that are not themselves dictionaries."""
+    return flat(values)
+
+
+def flat(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:
+    """All entries that are not themselves dictionaries, by their dotted paths."""
+    found: dict[str, Any] = {}
     for name, value in values.items():
-        if isinstance(value, Mapping):
-            yield from dotted_paths(value, _join(path, name))
-        else:
-            yield _join(path, name)
+        whole = _join(path, name)
+        found |= flat(value, whole) if isinstance(value, Mapping) else {whole: value}
+    return found
 
 
 def unknown_path(path: str, valid: Iterable[str]) -> ValueError:

@@ -44,6 +44,33 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("jaxscp")
 
 
+# Files that share what they compile: one worker takes them.
+TOGETHER = {
+    "test_cli": ("test_cli", "test_sweep"),
+    "test_plot": (
+        "test_plot",
+        "test_animation",
+        "test_plot_optima",
+        "test_plot_pictures",
+    ),
+    "subproblem": (
+        "test_active_set",
+        "test_assembly",
+        "test_model",
+        "test_riccati",
+        "test_scaling",
+        "test_subproblem",
+    ),
+    "swing": ("test_invariance", "test_sensitivity", "test_sensitivity_report"),
+    "textbook": (
+        "test_closed_form_derivatives",
+        "test_closed_forms",
+        "test_sensitivity_report_closed_forms",
+        "test_smoothing",
+    ),
+}
+GROUP = {file: group for group, files in TOGETHER.items() for file in files}
+
 # Each longer than most. What is left to the end should be short, or one worker waits.
 LONG = (
     "textbook",
@@ -51,29 +78,40 @@ LONG = (
     "swing",
     "test_second_order",
     "test_cli",
-    "test_readme",
     "test_docs",
+    "test_readme",
     "subproblem",
     "test_discretization",
     "test_peaks",
     "test_station_placement",
     "test_audit",
 )
+PLACE = {group: place for place, group in enumerate(LONG)}
+
+
+def group_of(file: str) -> str:
+    """The group of a file of tests; most are one by themselves."""
+    return GROUP.get(file, file)
 
 
 def pytest_collection_modifyitems(items):
-    """A file's tests share what they compile, and so do those of some files: they go to
-    one worker, the longest first.
+    """The longest groups first; a group's tests stay together."""
+    places = {item: group_of(item.path.stem) for item in items}
+    items.sort(key=lambda item: (PLACE.get(places[item], len(LONG)), places[item]))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Groups by file: xdist's own marks are lost on pytest 9.2, which makes the names of
+    tests that they are added to anew.
     """
-    place = {name: rank for rank, name in enumerate(LONG)}
-    ranks = {}
-    for item in items:
-        mark = item.get_closest_marker("xdist_group")
-        group = mark.args[0] if mark else item.path.stem
-        if mark is None:
-            item.add_marker(pytest.mark.xdist_group(group))
-        ranks[item] = place.get(group, len(LONG))
-    items.sort(key=ranks.__getitem__)
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByGroup(LoadScopeScheduling):
+        def _split_scope(self, nodeid):
+            return group_of(Path(nodeid.partition("::")[0]).stem)
+
+    return ByGroup(config, log)
 
 
 @pytest.fixture(autouse=True, scope="module")

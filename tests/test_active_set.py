@@ -40,8 +40,6 @@ from jaxscp._subproblem import SubproblemSolution
 from jaxscp._subproblem_data import Limits
 from jaxscp._transcription import Derivatives, Variables
 
-pytestmark = pytest.mark.xdist_group("subproblem")
-
 PRECISION = 1e-11
 
 

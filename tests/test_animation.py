@@ -7,7 +7,6 @@ from PIL import Image
 
 from jaxscp import plot
 
-pytestmark = pytest.mark.xdist_group("test_plot")
 SMALL = {"frames": 3, "fps": 4, "dpi": 30.0}
 
 

@@ -36,8 +36,6 @@ from jaxscp._layout import Layout, Structure
 from jaxscp._qp import PIQP
 from jaxscp._transcription import Variables
 
-pytestmark = pytest.mark.xdist_group("subproblem")
-
 
 def random_data(structure: Structure, name: str, seed=0, damping=held_damping_of):
     model, limits = random_model(name, seed), random_limits(structure, seed, wide=80.0)

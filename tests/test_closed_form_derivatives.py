@@ -12,7 +12,6 @@ from bank import hypersensitive_optimum, nodes_at
 import jaxscp
 from jaxscp import Bounds, Discretization, FirstOrderHold, textbook
 
-pytestmark = pytest.mark.xdist_group("textbook")
 LINEAR = Discretization(hold=FirstOrderHold())
 
 

@@ -11,7 +11,6 @@ from bank import BANK, Known, cycloid_time, hypersensitive_optimum, steps
 import jaxscp
 from jaxscp.verify import verify
 
-pytestmark = pytest.mark.xdist_group("textbook")
 BY_NAME = {known.name: known for known in BANK}
 every_problem = pytest.mark.parametrize("name", BY_NAME)
 

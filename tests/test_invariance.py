@@ -5,8 +5,6 @@ import numpy as np
 import pytest
 from swing import swing, swung
 
-pytestmark = pytest.mark.xdist_group("swing")
-
 
 @pytest.fixture(scope="module")
 def plain():

@@ -32,8 +32,6 @@ from jaxscp._model import Model
 from jaxscp._per_constraint import PerConstraint
 from jaxscp._transcription import Residuals
 
-pytestmark = pytest.mark.xdist_group("subproblem")
-
 
 @quick_jit
 def model_of(transcription, scaling, there) -> Model:

@@ -8,8 +8,6 @@ from matplotlib.figure import Figure
 import jaxscp
 from jaxscp import plot
 
-pytestmark = pytest.mark.xdist_group("test_plot")
-
 
 def test_costates_have_units():
     solution = drawn.double_integrator()

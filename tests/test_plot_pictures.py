@@ -15,7 +15,6 @@ from PIL import Image
 from jaxscp import plot
 
 FOLDER = Path(__file__).parent / "pictures"
-pytestmark = pytest.mark.xdist_group("test_plot")
 
 
 def picture(dpi):

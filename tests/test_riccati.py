@@ -18,8 +18,6 @@ from jaxscp._riccati import Factors, Forced, factorize, solve
 from jaxscp._stages import Chain
 from jaxscp._transcription import Variables
 
-pytestmark = pytest.mark.xdist_group("subproblem")
-
 # With held controls, with those at both ends, and with integrals by nodal values.
 every_chain = pytest.mark.parametrize(
     "name", ["zero-order", "first-order", "trapezoid", "first-order-trapezoid"]

@@ -32,8 +32,6 @@ from jaxscp._problem import Integral
 from jaxscp._scaling import Scaling, automatic_scaling
 from jaxscp._transcription import Variables
 
-pytestmark = pytest.mark.xdist_group("subproblem")
-
 
 @quick_jit
 def scaling_of(transcription, guess) -> Scaling:

@@ -10,8 +10,6 @@ from swing import SHARP, swing, swing_at_its_limit, swung
 import jaxscp
 from jaxscp import Discretization, FirstOrderHold, textbook
 
-pytestmark = pytest.mark.xdist_group("swing")
-
 
 def moved(problem, direction, step):
     """The problem a step along a direction; `None` there is what stays."""

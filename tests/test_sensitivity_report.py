@@ -12,8 +12,6 @@ import jaxscp
 from jaxscp._kkt import conditions
 from jaxscp._regularity import regularity
 
-pytestmark = pytest.mark.xdist_group("swing")
-
 
 @pytest.fixture(scope="module")
 def swung():

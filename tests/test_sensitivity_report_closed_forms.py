@@ -8,7 +8,6 @@ import pytest
 import jaxscp
 from jaxscp import Discretization, FirstOrderHold, textbook
 
-pytestmark = pytest.mark.xdist_group("textbook")
 LINEAR = Discretization(hold=FirstOrderHold())
 
 

@@ -13,7 +13,6 @@ from jaxscp._kkt import KKTPoint, conditions
 from jaxscp._kkt_system import kkt_solve
 from jaxscp._smoothing import softened
 
-pytestmark = pytest.mark.xdist_group("textbook")
 LINEAR = Discretization(hold=FirstOrderHold())
 KINK = 0.25
 # What the controls change by with the limit where it holds, and where it doesn't.

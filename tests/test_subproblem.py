@@ -48,8 +48,6 @@ from jaxscp._subproblem import SubproblemSolution, solve_subproblem
 from jaxscp._subproblem_data import Prices
 from jaxscp._transcription import Variables
 
-pytestmark = pytest.mark.xdist_group("subproblem")
-
 # Multipliers magnify what the default tolerance leaves.
 PRECISE = PIQP(finest=1e-10)
 

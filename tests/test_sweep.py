@@ -22,7 +22,6 @@ from jaxscp._sweep._record import Record
 from jaxscp._sweep._worker import Origin, solve_point
 
 # As the command line's tests have it: one program serves both.
-pytestmark = pytest.mark.xdist_group("test_cli")
 
 MASSES, GOALS = [2.8, 3.0, 3.2], [[500.0, 500.0, 100.0], [400.0, 300.0, 50.0]]
 GRID = {"vehicle.mass": MASSES, "goal": GOALS}

@@ -33,11 +33,14 @@ def parser() -> argparse.ArgumentParser:
         "1 if not; 2 on bad input.",
     )
     commands = top.add_subparsers(
-        dest="command", required=True, metavar="{missions,solve,sweep,verify,audit}"
+        dest="command",
+        required=True,
+        metavar="{missions,solve,sweep,reproduce,verify,audit}",
     )
     commands.add_parser("missions", help="list the missions, a line each")
     _add_solve(commands)
     _add_sweep(commands)
+    _add_reproduce(commands)
     check = commands.add_parser("verify", help="check a saved solution independently")
     check.add_argument("file", metavar="FILE.npz", help="written by solve --save")
     _add_enforce(check, "nodes", "where limits must hold")
@@ -88,20 +91,49 @@ def _add_sweep(commands: Any) -> None:
         "is the same",
     )
     _add_settings(sweep)
+    _add_processes(sweep)
+    sweep.add_argument("--csv", metavar="FILE", help="write the table as CSV")
     sweep.add_argument(
+        "--npz", metavar="FILE", help="write table and trajectories for Sweep.load"
+    )
+
+
+def _add_reproduce(commands: Any) -> None:
+    reproduce = commands.add_parser(
+        "reproduce",
+        help="solve the paper's missions and write its results beside ours",
+        description="Solve and verify the missions of the paper's Section V in both "
+        "readings of b, and write a page in Markdown, figures and trajectories.",
+    )
+    reproduce.add_argument(
+        "--output",
+        metavar="DIR",
+        default="reproduction",
+        help="where to write them (default: %(default)s)",
+    )
+    reproduce.add_argument(
+        "--format",
+        choices=("png", "svg", "pdf"),
+        default="png",
+        help="of the figures (default: %(default)s)",
+    )
+    _add_nodes(reproduce)
+    _add_method(reproduce)
+    _add_enforce(reproduce, "between", WHERE_LIMITS_HOLD)
+    _add_processes(reproduce)
+
+
+def _add_processes(command: Any) -> None:
+    command.add_argument(
         "--workers",
         metavar="N",
         type=positive,
         help="number of processes (default: one for each core)",
     )
-    sweep.add_argument(
+    command.add_argument(
         "--folder",
         metavar="DIR",
         help="keep each solution there at once, and solve only what is missing",
-    )
-    sweep.add_argument("--csv", metavar="FILE", help="write the table as CSV")
-    sweep.add_argument(
-        "--npz", metavar="FILE", help="write table and trajectories for Sweep.load"
     )
 
 
@@ -149,12 +181,25 @@ def _add_mission(command: Any) -> None:
         dest="changes",
         help="change a value of the mission, as in --set vehicle.mass=2.5; repeatable",
     )
+    _add_nodes(command)
+
+
+def _add_nodes(command: Any) -> None:
     command.add_argument(
         "--nodes",
         type=node_count,
         default=100,
         metavar="N",
         help="nodes of the time grid (default: %(default)s)",
+    )
+
+
+def _add_method(command: Any) -> None:
+    command.add_argument(
+        "--method",
+        choices=METHODS,
+        default=METHODS[0],
+        help="how the convex subproblems follow each other (default: %(default)s)",
     )
 
 
@@ -166,12 +211,7 @@ def _add_settings(command: Any) -> None:
         help="how they are spaced: evenly, or freely, each interval near the durations "
         "of its neighbours (default: %(default)s)",
     )
-    command.add_argument(
-        "--method",
-        choices=METHODS,
-        default=METHODS[0],
-        help="how the convex subproblems follow each other (default: %(default)s)",
-    )
+    _add_method(command)
     _add_enforce(command, "between", WHERE_LIMITS_HOLD)
 
 

@@ -18,8 +18,6 @@ from .._audit import HEADING, audit_gradient
 from .._choice import checked
 from .._direction import own_directions
 from .._hold import ZeroOrderHold
-from .._paper import PaperSCP
-from .._proximal import ProximalSCP
 from .._sensitivity_report import sensitivity_report
 from .._solution import Solution
 from .._sweep import sweep as run_sweep
@@ -29,10 +27,10 @@ from .._verification import Verification
 from ..missions import Mission
 from ._arguments import AUDITED, InputError
 from ._report import as_json, finite, progress_line, table
+from ._reproduce import METHODS, reproduce as reproduce
 from ._timing import CompileClock, process_age
 
 SUCCESS, FAILURE = 0, 1
-METHODS = {"proximal": ProximalSCP, "paper": PaperSCP}
 
 
 def missions(arguments: argparse.Namespace) -> int:

@@ -18,6 +18,7 @@ from ._multipliers import (
 )
 from ._pareto import pareto as pareto
 from ._profile import profile as profile
+from ._reproduction import reproduction as reproduction
 from ._series import (
     controls as controls,
     convergence as convergence,

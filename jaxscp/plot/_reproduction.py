@@ -56,7 +56,7 @@ def _routes(found: Reproduction, names: Sequence[str]) -> Figure:
 def _times(ax: Axes, found: Reproduction) -> Axes:
     """Mission times, ours beside the paper's, on a logarithmic axis."""
     places, width = np.arange(len(PUBLISHED)), 0.27
-    ax.bar(places - width, PUBLISHED.values(), width, color=GREY, label="paper")
+    ax.bar(places - width, list(PUBLISHED.values()), width, color=GREY, label="paper")
     for shift, colour, (reading, ending) in zip(
         (0.0, width), (BLUE, GREEN), READINGS.items(), strict=True
     ):

@@ -1,0 +1,51 @@
+"""The command that reproduces the paper."""
+
+import argparse
+import io
+import sys
+from concurrent.futures import BrokenExecutor
+from pathlib import Path
+
+from .. import _files
+from .._paper import PaperSCP
+from .._proximal import ProximalSCP
+from .._reproduction import reproduce as solve_missions
+from .._reproduction_text import markdown
+from ._arguments import InputError
+
+METHODS = {"proximal": ProximalSCP, "paper": PaperSCP}
+PAGE, RESULTS = "reproduction.md", "reproduction.npz"
+
+
+def reproduce(arguments: argparse.Namespace) -> int:
+    """Solve the paper's missions; write a page, its figures and the trajectories."""
+    folder = Path(arguments.output)
+    try:
+        _files.check_folder("--output", folder)
+        found = solve_missions(
+            METHODS[arguments.method](),
+            nodes=arguments.nodes,
+            enforce=arguments.enforce,
+            workers=arguments.workers,
+            folder=arguments.folder,
+        )
+    except ValueError as error:
+        raise InputError(error) from error
+    except BrokenExecutor as error:
+        print(f"jaxscp reproduce: {error}", file=sys.stderr)
+        return 1
+    # Imported where needed: Matplotlib takes a second.
+    from ..plot import reproduction as drawn
+
+    found.sweep.to_npz(folder / RESULTS)
+    figures = drawn(found)
+    for name, figure in figures.items():
+        picture = io.BytesIO()
+        figure.savefig(picture, format=arguments.format, dpi=150)
+        _files.write_bytes(folder / f"{name}.{arguments.format}", picture.getvalue())
+    pictures = [f"![{name}]({name}.{arguments.format})" for name in figures]
+    page = "\n\n".join([markdown(found).rstrip(), "## Figures", *pictures]) + "\n"
+    _files.write_bytes(folder / PAGE, page.encode())
+    print(found.sweep)
+    print(f"written to {folder / PAGE}")
+    return 0 if found.succeeded else 1
