@@ -83,6 +83,7 @@ LONG = (
     "subproblem",
     "test_discretization",
     "test_peaks",
+    "test_notebooks",
     "test_station_placement",
     "test_audit",
 )
