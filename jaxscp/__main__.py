@@ -1,19 +1,21 @@
-"""`jaxscp` and `python -m jaxscp`: list, solve, sweep, verify and audit missions."""
+"""`jaxscp` and `python -m jaxscp`: list, solve, sweep, verify and audit missions,
+and reproduce the paper."""
 
 import sys
 from collections.abc import Sequence
+from concurrent.futures import BrokenExecutor
 
 from ._cli._arguments import InputError, parser
 
-BAD_INPUT = 2
+FAILURE, BAD_INPUT = 1, 2
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status.
 
     0 if it did what was asked (a solve: converged and verified), 1 if a solve, a
-    sweep, a verification or an audit did not succeed, 2 on bad input, with one line on
-    standard error.
+    sweep, the reproduction, a verification or an audit did not succeed, 2 on bad input,
+    with one line on standard error.
     """
     try:
         arguments = parser().parse_args(argv)
@@ -33,6 +35,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         line = " ".join(str(error).split())
         print(f"jaxscp {arguments.command}: error: {line}", file=sys.stderr)
         return BAD_INPUT
+    except BrokenExecutor as error:
+        print(f"jaxscp {arguments.command}: {error}", file=sys.stderr)
+        return FAILURE
 
 
 if __name__ == "__main__":

@@ -25,9 +25,10 @@ def over_all(function: Callable[..., PyTree], *arrays: Array) -> PyTree:
         return jax.vmap(function)(*arrays)
     size = -(-count // blocks)
 
+    # Filled up with the last entry: any other might not be defined.
+    places = jnp.minimum(jnp.arange(blocks * size), count - 1)
+
     def folded(array: Array) -> Array:
-        # Filled up with the last entry: any other might not be defined.
-        places = jnp.minimum(jnp.arange(blocks * size), count - 1)
         return array[places].reshape(blocks, size, *array.shape[1:])
 
     found = jax.lax.map(

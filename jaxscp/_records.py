@@ -59,7 +59,7 @@ def with_entries(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[
 
     **Raises:** `ValueError` on a path that is not in `values`, listing those that are.
     """
-    valid = tuple(dotted_paths(values))
+    valid = tuple(flat(values))
     changed = _copied(values)
     for path, value in changes.items():
         if path not in valid:
@@ -70,11 +70,6 @@ def with_entries(values: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[
             inner = inner[parent]
         inner[name] = value
     return changed
-
-
-def dotted_paths(values: Mapping[str, Any]) -> Iterable[str]:
-    """Paths of all entries that are not themselves dictionaries."""
-    return flat(values)
 
 
 def flat(values: Mapping[str, Any], path: str = "") -> dict[str, Any]:

@@ -29,7 +29,7 @@ NAMES = tuple(f"{name}{ending}" for ending in READINGS.values() for name in PUBL
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Reproduction:
-    """The paper's missions, solved: `print` shows them beside the paper's figures.
+    """The paper's missions, solved in both readings of b.
 
     - `sweep`: its points in the order of `names`.
     """
@@ -45,6 +45,10 @@ class Reproduction:
     def succeeded(self) -> bool:
         """Whether all converged and were verified."""
         return bool(self.sweep.succeeded.all())
+
+    def confirmed(self, name: str) -> bool:
+        """Whether a mission converged and was verified."""
+        return bool(self.sweep.succeeded[NAMES.index(name)])
 
     def row(self, name: str) -> np.void:
         """Of the sweep's table, that of a mission."""

@@ -80,20 +80,15 @@ def _published(name: str) -> float:
 def _claims(reproduction: Reproduction) -> Iterator[list[str]]:
     """A row for each: the claim, and what the missions say in each reading."""
     free = [name for name in PUBLISHED if name.startswith("free")]
-    yield ["more data take longer"] + [
-        _rising([_time(reproduction, name + ending) for name in free], "s")
-        for ending in READINGS.values()
-    ]
-    yield ["more data lead farther from the straight line"] + [
-        _rising([_detour(reproduction, name + ending) for name in free], "m")
-        for ending in READINGS.values()
-    ]
-    yield ["buildings make 30 MB take longer"] + [
-        _rising(
-            [_time(reproduction, name + ending) for name in (free[0], "urban-30MB")], "s"
-        )
-        for ending in READINGS.values()
-    ]
+    for claim, names, quantity, unit in (
+        ("more data take longer", free, _time, "s"),
+        ("more data lead farther from the straight line", free, _detour, "m"),
+        ("buildings make 30 MB take longer", (free[0], "urban-30MB"), _time, "s"),
+    ):
+        yield [claim] + [
+            _rising([quantity(reproduction, name + ending) for name in names], unit)
+            for ending in READINGS.values()
+        ]
 
 
 def _rising(values: Sequence[float], unit: str) -> str:
@@ -118,16 +113,12 @@ def _conclusions(reproduction: Reproduction) -> Iterator[str]:
     """What the numbers say of the paper's, reading by reading."""
     for reading, ending in READINGS.items():
         names = [f"{name}{ending}" for name in PUBLISHED]
-        good = [
-            name
-            for name in names
-            if reproduction.row(name)["converged"] and reproduction.row(name)["verified"]
-        ]
         short = [n for n in names if _published(n) < least_time(missions.get(n))]
         dear = [
             name
-            for name in good
-            if least_energy(missions.get(name), _published(name))
+            for name in names
+            if reproduction.confirmed(name)
+            and least_energy(missions.get(name), _published(name))
             > float(reproduction.row(name)["objective"])
         ]
         said = []

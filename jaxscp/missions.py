@@ -25,7 +25,7 @@ from ._discretization import Discretization
 from ._guess_plan import GuessPlan as GuessPlan
 from ._mission import Mission as Mission
 from ._proximal import ProximalSCP
-from ._records import dotted_paths, from_dict, to_dict, with_entries
+from ._records import flat, from_dict, to_dict, with_entries
 from ._scp import AbstractSCP
 from ._solution import Solution
 from ._solve import SolveError, solve as solve_problem
@@ -179,7 +179,7 @@ def check_settings(enforce: str = "between", grid: str = "uniform") -> None:
 
 def paths(mission: Mission) -> tuple[str, ...]:
     """Dotted paths of everything that can be replaced in a mission."""
-    return tuple(path for path in dotted_paths(to_dict(mission)) if path not in _LABELS)
+    return tuple(path for path in flat(to_dict(mission)) if path not in _LABELS)
 
 
 def replace(mission: Mission, path: str, value: Any) -> Mission:

@@ -60,7 +60,7 @@ FLOORS = (
     {"plot._animation", "plot._mission", "plot._reproduction"},
     {"plot"},
     {""},
-    {"_cli._arguments", "_cli._report", "_cli._timing"},
+    {"_cli._arguments", "_cli._figures", "_cli._report", "_cli._timing"},
     {"_cli._reproduce"},
     {"_cli._commands"},
     {"_cli"},

@@ -4,6 +4,7 @@ The flights here are nobody's: what is said of numbers needs no solve.
 """
 
 import dataclasses
+from concurrent.futures import BrokenExecutor
 
 import jax.numpy as jnp
 import numpy as np
@@ -164,6 +165,15 @@ def test_the_command_writes_page_figures_and_flights(
     again = Sweep.load(folder / "reproduction.npz")
     np.testing.assert_array_equal(again.table["final_time"], TIMES)
     assert str(folder / "reproduction.md") in capsys.readouterr().out
+
+
+def test_a_worker_that_ended_is_told_in_a_line(tmp_path, monkeypatch, capsys):
+    def solve(method, **settings):
+        raise BrokenExecutor("a worker ended")
+
+    monkeypatch.setattr(_reproduce, "solve_missions", solve)
+    assert main(["reproduce", "--output", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == "jaxscp reproduce: a worker ended\n"
 
 
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path, capsys):

@@ -2,12 +2,9 @@
 
 import argparse
 import dataclasses
-import io
 import json
 import sys
 import time
-from concurrent.futures import BrokenExecutor
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -26,6 +23,7 @@ from .._validation import check_guesses, check_problem
 from .._verification import Verification
 from ..missions import Mission
 from ._arguments import AUDITED, InputError
+from ._figures import check_format, write_figure
 from ._report import as_json, finite, progress_line, table
 from ._reproduce import METHODS, reproduce as reproduce
 from ._timing import CompileClock, process_age
@@ -62,7 +60,7 @@ def solve(arguments: argparse.Namespace) -> int:
     try:
         _check_outputs(arguments, "json", "save", "plot")
         if arguments.plot is not None:
-            _check_format(arguments.plot)
+            check_format(arguments.plot)
         mission, guesses = _checked_mission(arguments, arguments.grid)
     except ValueError as error:
         raise InputError(error) from error
@@ -97,9 +95,6 @@ def sweep(arguments: argparse.Namespace) -> int:
         )
     except ValueError as error:
         raise InputError(error) from error
-    except BrokenExecutor as error:
-        print(f"jaxscp sweep: {error}", file=sys.stderr)
-        return FAILURE
     if arguments.csv is not None:
         result.to_csv(arguments.csv)
     if arguments.npz is not None:
@@ -220,10 +215,7 @@ def _write(
         # Imported where needed: Matplotlib takes a second.
         from .. import plot
 
-        picture = io.BytesIO()
-        figure = plot.mission(mission, solution, guess)
-        figure.savefig(picture, format=_format(arguments.plot), dpi=150)
-        _files.write_bytes(arguments.plot, picture.getvalue())
+        write_figure(arguments.plot, plot.mission(mission, solution, guess))
     if arguments.json is not None:
         _write_json(arguments.json, as_json(mission, solution, verification, seconds))
 
@@ -233,22 +225,7 @@ def _write_json(path: str, report: dict[str, Any]) -> None:
     _files.write_bytes(path, text.encode())
 
 
-def _format(path: str) -> str:
-    return Path(path).suffix.removeprefix(".").lower()
-
-
 def _check_outputs(arguments: argparse.Namespace, *options: str) -> None:
     for option in options:
         if (path := getattr(arguments, option)) is not None:
             _files.check_writable(f"--{option}", path)
-
-
-def _check_format(path: str) -> None:
-    from matplotlib.backend_bases import FigureCanvasBase
-
-    known = FigureCanvasBase.get_supported_filetypes()
-    if _format(path) not in known:
-        raise ValueError(
-            f"--plot {path}: the ending {Path(path).suffix!r} names no picture format; "
-            f"use one of {', '.join('.' + name for name in sorted(known))}."
-        )

@@ -1,9 +1,6 @@
 """The command that reproduces the paper."""
 
 import argparse
-import io
-import sys
-from concurrent.futures import BrokenExecutor
 from pathlib import Path
 
 from .. import _files
@@ -12,6 +9,7 @@ from .._proximal import ProximalSCP
 from .._reproduction import reproduce as solve_missions
 from .._reproduction_text import markdown
 from ._arguments import InputError
+from ._figures import write_figure
 
 METHODS = {"proximal": ProximalSCP, "paper": PaperSCP}
 PAGE, RESULTS = "reproduction.md", "reproduction.npz"
@@ -31,18 +29,13 @@ def reproduce(arguments: argparse.Namespace) -> int:
         )
     except ValueError as error:
         raise InputError(error) from error
-    except BrokenExecutor as error:
-        print(f"jaxscp reproduce: {error}", file=sys.stderr)
-        return 1
     # Imported where needed: Matplotlib takes a second.
     from ..plot import reproduction as drawn
 
     found.sweep.to_npz(folder / RESULTS)
     figures = drawn(found)
     for name, figure in figures.items():
-        picture = io.BytesIO()
-        figure.savefig(picture, format=arguments.format, dpi=150)
-        _files.write_bytes(folder / f"{name}.{arguments.format}", picture.getvalue())
+        write_figure(folder / f"{name}.{arguments.format}", figure)
     pictures = [f"![{name}]({name}.{arguments.format})" for name in figures]
     page = "\n\n".join([markdown(found).rstrip(), "## Figures", *pictures]) + "\n"
     _files.write_bytes(folder / PAGE, page.encode())
