@@ -11,6 +11,12 @@ from ._hold import (
     FirstOrderHold as FirstOrderHold,
     ZeroOrderHold as ZeroOrderHold,
 )
+from ._intervals import (
+    IntervalJacobians as IntervalJacobians,
+    Intervals as Intervals,
+    Jacobian as Jacobian,
+)
+from ._linearization import linearize as linearize
 from ._paper import PaperSCP as PaperSCP
 from ._problem import (
     Integral as Integral,

@@ -46,10 +46,12 @@ class SubproblemSolver:
         self._numbers = blank.in_one_vector()
         # Infinite limits are infinite with any data.
         with np.errstate(invalid="ignore"):
-            shift = places.in_one_vector() - self._numbers
-        self._varying = np.flatnonzero(np.nan_to_num(shift))
-        self._signs = np.sign(shift[self._varying])
-        self._places = np.abs(shift[self._varying]).astype(int) - 1
+            shift = np.nan_to_num(places.in_one_vector() - self._numbers)
+        # Constants stand behind the vector, each in a place of its own.
+        behind = outline.size + np.arange(shift.size)
+        self._source = np.concatenate([np.zeros(outline.size), self._numbers])
+        self._places = np.where(shift == 0.0, behind, np.abs(shift).astype(int) - 1)
+        self._signs = np.where(shift < 0.0, -1.0, 1.0)
         self._precision = int(numbered.prices.precision) - 1
         self._relax = int(numbered.prices.relax) - 1
         self._virtual = numbered.prices.virtual_control.ravel().astype(int) - 1
@@ -77,7 +79,10 @@ class SubproblemSolver:
 
     def assemble(self, flat: np.ndarray) -> QP:
         """The QP whose solution is the best step; the same object every time."""
-        self._numbers[self._varying] = self._signs * flat[self._places]
+        self._source[: flat.size] = flat
+        # Places are in range; to be told so is what makes `take` fast.
+        np.take(self._source, self._places, out=self._numbers, mode="clip")
+        self._numbers *= self._signs
         return self._qp
 
     def read(self, solution: QPSolution, effort: np.ndarray) -> np.ndarray:

@@ -326,6 +326,12 @@ def test_bad_input_is_refused(arguments, named, tmp_path, capsys):
     assert os.listdir(tmp_path) == []
 
 
+@pytest.mark.parametrize("value", ["0", "-1e-3", "nan", "inf", "little"])
+def test_a_tolerance_is_a_positive_number(value, capsys):
+    error = refused(capsys, ["audit", "free-flight", f"--tolerance={value}"])
+    assert f"'{value}': give a positive number" in error
+
+
 @pytest.mark.parametrize("option", ["--json", "--save", "--plot"])
 def test_unwritable_output_is_refused(option, tmp_path, capsys):
     missing = tmp_path / "missing" / "file.png"

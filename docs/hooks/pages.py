@@ -1,4 +1,4 @@
-"""Pages and pictures that live elsewhere in the repository."""
+"""Pages, pictures and notebooks that live elsewhere in the repository."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ ELSEWHERE = ("CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/README.md")
 
 
 def on_files(files, config):
-    figures = sorted((ROOT / "benchmarks/figures").glob("*.png"))
-    for path in [*ELSEWHERE, *(str(figure.relative_to(ROOT)) for figure in figures)]:
+    found = [*ROOT.glob("benchmarks/figures/*.png"), *ROOT.glob("notebooks/*.ipynb")]
+    for path in [*ELSEWHERE, *sorted(str(each.relative_to(ROOT)) for each in found)]:
         files.append(File.generated(config, path, abs_src_path=str(ROOT / path)))
     return files

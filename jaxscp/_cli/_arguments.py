@@ -1,12 +1,14 @@
 """The command line's arguments."""
 
 import argparse
-import json
 from typing import Any, NoReturn
 
-METHODS = ("proximal", "paper")
-PLACES = ("nodes", "between")
-GRIDS = ("uniform", "free")
+from .._paper import PaperSCP
+from .._proximal import ProximalSCP
+from ..missions import ENFORCED, GRIDS
+from ._values import assignment, node_count, positive, share
+
+METHODS = {"proximal": ProximalSCP, "paper": PaperSCP}
 WHERE_LIMITS_HOLD = "where limits hold: also between the nodes, or there alone"
 # What can be audited, and the relative difference that passes: a flight time moves along
 # with what the cost hardly sees, and solves leave more of it open.
@@ -160,7 +162,7 @@ def _add_audit(commands: Any) -> None:
     )
     audit.add_argument(
         "--tolerance",
-        type=float,
+        type=share,
         help="relative difference that passes (default: 1e-3 of the objective, 1e-2 of "
         "the flight time)",
     )
@@ -198,7 +200,7 @@ def _add_method(command: Any) -> None:
     command.add_argument(
         "--method",
         choices=METHODS,
-        default=METHODS[0],
+        default="proximal",
         help="how the convex subproblems follow each other (default: %(default)s)",
     )
 
@@ -207,7 +209,7 @@ def _add_settings(command: Any) -> None:
     command.add_argument(
         "--grid",
         choices=GRIDS,
-        default=GRIDS[0],
+        default="uniform",
         help="how they are spaced: evenly, or freely, each interval near the durations "
         "of its neighbours (default: %(default)s)",
     )
@@ -218,43 +220,7 @@ def _add_settings(command: Any) -> None:
 def _add_enforce(command: Any, default: str, meaning: str) -> None:
     command.add_argument(
         "--enforce",
-        choices=PLACES,
+        choices=ENFORCED,
         default=default,
         help=f"{meaning} (default: %(default)s)",
     )
-
-
-def assignment(text: str) -> tuple[str, Any]:
-    """`PATH=JSON` as a path and a value."""
-    path, equals, value = text.partition("=")
-    if not (equals and path):
-        raise argparse.ArgumentTypeError(
-            f"{text!r} is not PATH=JSON; write for example vehicle.mass=2.5"
-        )
-    try:
-        return path, json.loads(value, parse_constant=_refuse_constant)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(
-            f"{path}={value}: the value is not JSON ({error}); write a finite number, "
-            "a list such as [1, 2], or null"
-        ) from error
-
-
-def node_count(text: str) -> int:
-    """A number of nodes: an integer of at least 2."""
-    return _at_least(2, text)
-
-
-def positive(text: str) -> int:
-    """An integer of at least 1."""
-    return _at_least(1, text)
-
-
-def _at_least(least: int, text: str) -> int:
-    if not text.isdecimal() or int(text) < least:
-        raise argparse.ArgumentTypeError(f"{text!r}: give an integer of at least {least}")
-    return int(text)
-
-
-def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not a finite number")

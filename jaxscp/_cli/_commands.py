@@ -22,10 +22,10 @@ from .._trajectory import Trajectory
 from .._validation import check_guesses, check_problem
 from .._verification import Verification
 from ..missions import Mission
-from ._arguments import AUDITED, InputError
+from ._arguments import AUDITED, METHODS, InputError
 from ._figures import check_format, write_figure
 from ._report import as_json, finite, progress_line, table
-from ._reproduce import METHODS, reproduce as reproduce
+from ._reproduce import reproduce as reproduce
 from ._timing import CompileClock, process_age
 
 SUCCESS, FAILURE = 0, 1

@@ -4,14 +4,11 @@ import argparse
 from pathlib import Path
 
 from .. import _files
-from .._paper import PaperSCP
-from .._proximal import ProximalSCP
 from .._reproduction import reproduce as solve_missions
 from .._reproduction_text import markdown
-from ._arguments import InputError
+from ._arguments import METHODS, InputError
 from ._figures import write_figure
 
-METHODS = {"proximal": ProximalSCP, "paper": PaperSCP}
 PAGE, RESULTS = "reproduction.md", "reproduction.npz"
 
 
