@@ -84,6 +84,9 @@ def reproduce(
         sweep(
             base,
             [{path: target[path] for path in differing} for target in targets],
+            # More data from the flight with less: alone, 70 MB in the literal reading
+            # take ten times as long, or lead nowhere until they rise in steps.
+            along="data_required",
             method=method,
             nodes=nodes,
             enforce=enforce,

@@ -22,6 +22,7 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
 
 import hypothesis
 import jax
+import jaxtyping
 import pytest
 
 jax.config.update("jax_enable_x64", True)
@@ -73,6 +74,7 @@ GROUP = {file: group for group, files in TOGETHER.items() for file in files}
 
 # Each longer than most. What is left to the end should be short, or one worker waits.
 LONG = (
+    "test_notebooks",
     "textbook",
     "test_solve",
     "swing",
@@ -83,7 +85,6 @@ LONG = (
     "subproblem",
     "test_discretization",
     "test_peaks",
-    "test_notebooks",
     "test_station_placement",
     "test_audit",
 )
@@ -113,6 +114,16 @@ def pytest_xdist_make_scheduler(config, log):
             return group_of(Path(nodeid.partition("::")[0]).stem)
 
     return ByGroup(config, log)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item):
+    """Whole missions call what other tests call, with its types checked, one by one: to
+    check each call of theirs again takes a sixth of the time.
+    """
+    unchecked = item.get_closest_marker("slow") is not None
+    jaxtyping.config.update("jaxtyping_disable", unchecked)
+    return (yield)
 
 
 @pytest.fixture(autouse=True, scope="module")
