@@ -27,6 +27,7 @@ def dragged():
     return eqx.tree_at(lambda p: p.dynamics, problem, drag)
 
 
+@pytest.mark.slow
 def test_every_parameter_of_a_problem(dragged):
     """With an even number of intervals a control would be weakly active: no kink here."""
     audit = jaxscp.audit_gradient(dragged, nodes=8)

@@ -95,6 +95,7 @@ def test_help_succeeds(capsys):
     assert "verify" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_solve_writes_what_was_asked_for(solved):
     status, folder = solved
     assert status == 0
@@ -151,6 +152,7 @@ def test_audit_names_what_there_is(capsys):
     assert "vehicle.mass" in message
 
 
+@pytest.mark.slow
 @pytest.mark.slow
 def test_limits_at_the_nodes_alone_and_progress_on_terminals(
     tmp_path, capsys, monkeypatch

@@ -148,6 +148,7 @@ class SpeedLimit(eqx.Module):
         return x[1:] - self.speed
 
 
+@pytest.mark.slow
 def test_a_peak_between_the_nodes():
     """It moves with the limit, and with it the derivatives of the peak."""
     between = Discretization(hold=FirstOrderHold(), between=1)

@@ -11,6 +11,8 @@ import jaxscp
 from jaxscp import Bounds, Integral, OptimalControlProblem
 from jaxscp.models import systems
 
+pytestmark = pytest.mark.slow
+
 DATA, DURATION = 30.0, 8.0  # [bit], [s]
 # Where the station's power comes from, and what a square metre of cable costs.
 SOURCE, CABLE = jnp.array([2.0, 6.0]), 0.5
