@@ -5,11 +5,20 @@ from pathlib import Path
 from mkdocs.structure.files import File
 
 ROOT = Path(__file__).parents[2]
-ELSEWHERE = ("CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/README.md")
+PATTERNS = (
+    "CHANGELOG.md",
+    "CONTRIBUTING.md",
+    "benchmarks/README.md",
+    "benchmarks/figures/*.png",
+    "notebooks/*.ipynb",
+    "notebooks/reproduction/*.md",
+    "notebooks/reproduction/*.png",
+)
 
 
 def on_files(files, config):
-    found = [*ROOT.glob("benchmarks/figures/*.png"), *ROOT.glob("notebooks/*.ipynb")]
-    for path in [*ELSEWHERE, *sorted(str(each.relative_to(ROOT)) for each in found)]:
-        files.append(File.generated(config, path, abs_src_path=str(ROOT / path)))
+    found = [path for pattern in PATTERNS for path in sorted(ROOT.glob(pattern))]
+    for path in found:
+        place = str(path.relative_to(ROOT))
+        files.append(File.generated(config, place, abs_src_path=str(path)))
     return files
