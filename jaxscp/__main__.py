@@ -5,9 +5,7 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
 
-from ._cli._arguments import InputError, parser
-
-FAILURE, BAD_INPUT = 1, 2
+from ._cli._arguments import BAD_INPUT, FAILURE, InputError, parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:

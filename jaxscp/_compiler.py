@@ -1,9 +1,15 @@
-"""How XLA compiles a solve."""
+"""How XLA compiles a solve, and what else is compiled by itself."""
 
 import functools
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
+import equinox as eqx
 import jax
+
+from ._types import is_concrete
+
+_R = TypeVar("_R")
 
 # Its older emitters of kernels: on the CPU a solve compiles in half the time with them
 # and runs as fast.
@@ -20,3 +26,24 @@ def compiler_options() -> dict[str, Any]:
     except jax.errors.JaxRuntimeError:
         return {}
     return _OPTIONS
+
+
+def compiled(function: Callable[..., _R]) -> Callable[..., _R]:
+    """`eqx.filter_jit`, with [`compiler_options`][] unless an argument is traced: only
+    what is compiled by itself may have options of its own.
+    """
+
+    @functools.cache
+    def program(alone: bool) -> Callable[..., _R]:
+        # Equinox passes on what its signature does not name.
+        options: dict[str, Any] = (
+            {"compiler_options": compiler_options()} if alone else {}
+        )
+        return eqx.filter_jit(function, **options)
+
+    @functools.wraps(function)
+    def call(*arguments: Any) -> _R:
+        alone = is_concrete(eqx.filter(arguments, eqx.is_array))
+        return program(alone)(*arguments)
+
+    return call

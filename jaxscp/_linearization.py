@@ -1,18 +1,14 @@
 """`linearize`: the flow along a trajectory and its Jacobians, by themselves."""
 
-import functools
-from typing import Any
-
-import equinox as eqx
 import jax.numpy as jnp
 
-from ._compiler import compiler_options
+from ._compiler import compiled
 from ._discretization import Discretization
 from ._intervals import IntervalJacobians, Intervals, linearize as of_intervals
 from ._problem import OptimalControlProblem
 from ._trajectory import Trajectory
 from ._transcription import Transcription
-from ._types import is_concrete
+from ._types import Array, is_concrete
 from ._validation import check_guess, check_precision, check_problem
 
 
@@ -48,15 +44,12 @@ def linearize(
     if is_concrete(substeps) and substeps < least:
         raise ValueError(f"substeps={substeps}: give {least} or more.")
     transcription = Transcription(problem, discretization, trajectory.fractions)
-    arrays = eqx.filter((transcription, trajectory, substeps), eqx.is_array)
-    # Only what is compiled by itself may have options of its own.
-    return _compiled(is_concrete(arrays))(
-        transcription, trajectory, jnp.asarray(substeps)
-    )
+    return _linearized(transcription, trajectory, jnp.asarray(substeps))
 
 
+@compiled
 def _linearized(
-    transcription: Transcription, trajectory: Trajectory, substeps
+    transcription: Transcription, trajectory: Trajectory, substeps: Array
 ) -> tuple[Intervals, IntervalJacobians]:
     return of_intervals(
         transcription.flow(substeps),
@@ -65,9 +58,3 @@ def _linearized(
         trajectory.controls,
         trajectory.final_time,
     )
-
-
-@functools.cache
-def _compiled(alone: bool):
-    options: dict[str, Any] = {"compiler_options": compiler_options()} if alone else {}
-    return eqx.filter_jit(_linearized, **options)

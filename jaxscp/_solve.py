@@ -1,6 +1,5 @@
 """`solve`: from a problem and guesses to a solution."""
 
-import functools
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 
 from ._captured import check_captured
 from ._choice import best, best_unverified
-from ._compiler import compiler_options
+from ._compiler import compiled
 from ._discretization import Discretization
 from ._free_intervals import lifted, lowered
 from ._outcome import differentiable, outcome
@@ -175,14 +174,13 @@ def _from(
 ) -> Solution:
     """What one guess leads to, as a function of the problem but not of the guess."""
     numbers, guess = constant((transcription, guess))
-    # Only what is compiled by itself may have options of its own.
-    alone = is_concrete(eqx.filter((numbers, guess, attempt, told), eqx.is_array))
-    solution = _compiled(alone)(method, numbers, guess, attempt, told)
+    solution = _run(method, numbers, guess, attempt, told)
     if is_concrete(eqx.filter(transcription, eqx.is_array)):
         return solution
     return differentiable(transcription, solution, smoothing)
 
 
+@compiled
 def _run(
     method: AbstractSCP,
     transcription: Transcription,
@@ -201,10 +199,3 @@ def _run(
         return run(method, transcription, variables, told, attempt)
 
     return outcome(transcription, *one(arrays))
-
-
-@functools.cache
-def _compiled(alone: bool) -> Callable[..., Solution]:
-    # Equinox passes on what its signature does not name.
-    options: dict[str, Any] = {"compiler_options": compiler_options()} if alone else {}
-    return eqx.filter_jit(_run, **options)

@@ -153,7 +153,6 @@ def test_audit_names_what_there_is(capsys):
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_limits_at_the_nodes_alone_and_progress_on_terminals(
     tmp_path, capsys, monkeypatch
 ):

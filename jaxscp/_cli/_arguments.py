@@ -8,6 +8,9 @@ from .._proximal import ProximalSCP
 from ..missions import ENFORCED, GRIDS
 from ._values import assignment, node_count, positive, share
 
+# Exit statuses, as the parser's epilog tells them.
+SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
+
 METHODS = {"proximal": ProximalSCP, "paper": PaperSCP}
 WHERE_LIMITS_HOLD = "where limits hold: also between the nodes, or there alone"
 # What can be audited, and the relative difference that passes: a flight time moves along
@@ -23,7 +26,7 @@ class Parser(argparse.ArgumentParser):
     """Reports a wrong argument in one line, without the usage before it."""
 
     def error(self, message: str) -> NoReturn:
-        self.exit(2, f"{self.prog}: error: {message}\n")
+        self.exit(BAD_INPUT, f"{self.prog}: error: {message}\n")
 
 
 def parser() -> argparse.ArgumentParser:

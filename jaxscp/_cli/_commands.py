@@ -22,13 +22,11 @@ from .._trajectory import Trajectory
 from .._validation import check_guesses, check_problem
 from .._verification import Verification
 from ..missions import Mission
-from ._arguments import AUDITED, METHODS, InputError
+from ._arguments import AUDITED, FAILURE, METHODS, SUCCESS, InputError
 from ._figures import check_format, write_figure
 from ._report import as_json, finite, progress_line, table
 from ._reproduce import reproduce as reproduce
 from ._timing import CompileClock, process_age
-
-SUCCESS, FAILURE = 0, 1
 
 
 def missions(arguments: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ from pathlib import Path
 from .. import _files
 from .._reproduction import reproduce as solve_missions
 from .._reproduction_text import markdown
-from ._arguments import METHODS, InputError
+from ._arguments import FAILURE, METHODS, SUCCESS, InputError
 from ._figures import write_figure
 
 PAGE, RESULTS = "reproduction.md", "reproduction.npz"
@@ -38,4 +38,4 @@ def reproduce(arguments: argparse.Namespace) -> int:
     _files.write_bytes(folder / PAGE, page.encode())
     print(found.sweep)
     print(f"written to {folder / PAGE}")
-    return 0 if found.succeeded else 1
+    return SUCCESS if found.succeeded else FAILURE
