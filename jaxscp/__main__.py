@@ -5,6 +5,10 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
 
+import jax
+
+from ._cache import keep_programs
+from ._cli import _commands
 from ._cli._arguments import BAD_INPUT, FAILURE, InputError, parser
 
 
@@ -19,12 +23,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = parser().parse_args(argv)
     except SystemExit as stop:
         return stop.code if isinstance(stop.code, int) else BAD_INPUT
-    # Only after the arguments are known to be right: these imports take seconds.
-    import jax
-
-    from ._cache import keep_programs
-    from ._cli import _commands
-
     jax.config.update("jax_enable_x64", True)
     keep_programs()
     try:

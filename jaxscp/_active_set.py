@@ -13,9 +13,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ._active_system import ActiveSystem, PerLimit
+from ._active_system import ActiveSystem
 from ._damping import Damping
 from ._model import Model
+from ._per_limit import PerLimit
 from ._subproblem import SubproblemSolution
 from ._subproblem_data import Limits
 from ._transcription import Residuals, Variables

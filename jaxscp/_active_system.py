@@ -17,71 +17,18 @@ from ._damping import Damping
 from ._max_norm import max_norm
 from ._model import Model
 from ._per_constraint import PerConstraint
+from ._per_limit import PerLimit
+from ._refinement import Refinement
 from ._riccati import Factors, Forced, factorize, solve
 from ._stages import Chain, Matrices, Vectors
 from ._subproblem import Effort, SubproblemSolution
 from ._transcription import Residuals, Variables
 from ._types import Array, Float, Scalar
 
-# Weight of the squares that pull, and how often what they lack is added: each time leaves
-# about a thousandth of the gap, more where a constraint hardly gives way. Where it no
-# longer falls after a few, rounding is all that is left.
+# Weight of the squares that pull.
 _FIRM = 3e4
-_PASSES = 32
-_FEW = 4
 # Gaps below this share of the precision asked for are closed.
 _CLOSED = 0.1
-
-
-class PerLimit(eqx.Module):
-    """One number for each limit of the step and each inequality.
-
-    As multipliers: upper ones positive, lower ones negative.
-    """
-
-    variables: Variables
-    path: Float[Array, "N p"]
-    between: Float[Array, "I b"]
-    integral: Float[Array, " q"]
-
-    @classmethod
-    def multipliers(cls, solution: SubproblemSolution) -> "PerLimit":
-        own = solution.multipliers
-        return cls(
-            Variables(solution.state, solution.control, solution.final_time),
-            own.path,
-            own.between,
-            own.integral,
-        )
-
-
-class _Pass(eqx.Module):
-    """How far the refinement of a step has come.
-
-    - `pushes`: multipliers of what is pulled. `gap`: how far that is from its limits.
-        `falls`: whether the last pass has made it smaller.
-    """
-
-    step: Variables
-    costates: Float[Array, "I n"]
-    pushes: PerLimit
-    gap: Scalar
-    falls: Array
-    count: Array
-
-    @classmethod
-    def begun(
-        cls, step: Variables, costates: Float[Array, "I n"], pushes: PerLimit
-    ) -> "_Pass":
-        """Before the first one."""
-        gap, falls, count = jnp.asarray(jnp.inf), jnp.asarray(True), jnp.zeros((), int)
-        return cls(step, costates, pushes, gap, falls, count)
-
-    def unfinished(self, closed: Scalar) -> Array:
-        """Whether another pass is worth it; gaps below `closed` are closed."""
-        promising = (self.count < _FEW) | self.falls
-        more = (self.gap > closed) & (self.count < _PASSES) & promising
-        return (self.count < 2) | more
 
 
 class Solved(eqx.Module):
@@ -163,7 +110,7 @@ class ActiveSystem(eqx.Module):
             lambda weight, push: jnp.where(weight > 0.0, push, 0.0), self.weight, pushes
         )
         costates = jnp.zeros_like(self.model.residuals.defects)
-        begun = _Pass.begun(still, costates, pushes)
+        begun = Refinement.begun(still, costates, pushes)
         chain = self._chain
         matrices = chain.matrices(self._per_total)
         factors = factorize(matrices, self._forced(begun))
@@ -182,7 +129,7 @@ class ActiveSystem(eqx.Module):
         curvature = self.model.curvature.plus(squares)
         return Chain(self.model.derivatives, curvature, free)
 
-    def _left_at(self, done: _Pass, chain: Chain) -> Vectors:
+    def _left_at(self, done: Refinement, chain: Chain) -> Vectors:
         """What is left of every condition."""
         # Of what is soft the squares give back a part of the multiplier themselves.
         pushes = jax.tree.map(jnp.multiply, self._firmnesses, done.pushes)
@@ -201,7 +148,7 @@ class ActiveSystem(eqx.Module):
             jnp.zeros_like(self._per_total),
         )
 
-    def _forced(self, done: _Pass) -> Forced:
+    def _forced(self, done: Refinement) -> Forced:
         """What the recursion does not choose: which variables, and what they are."""
         told, totals = self.told, done.pushes.integral.size
         to_go = jax.tree.map(jnp.subtract, self.pull.centre, done.step)
@@ -223,8 +170,8 @@ class ActiveSystem(eqx.Module):
         return self.damping.integral + self.pull.integral
 
     def _refined(
-        self, done: _Pass, chain: Chain, matrices: Matrices, factors: Factors
-    ) -> _Pass:
+        self, done: Refinement, chain: Chain, matrices: Matrices, factors: Factors
+    ) -> Refinement:
         """One pass more: it starts from what the one before has left."""
         vectors, forced = self._left_at(done, chain), self._forced(done)
         y, decisions, costates = solve(matrices, vectors, forced, factors)
@@ -247,9 +194,9 @@ class ActiveSystem(eqx.Module):
         )
         gap = max_norm(jax.tree.map(_unexplained, self.sides, weight, pushes, missing))
         costates, falls = done.costates + more, gap < done.gap
-        return _Pass(step, costates, pushes, gap, falls, done.count + 1)
+        return Refinement(step, costates, pushes, gap, falls, done.count + 1)
 
-    def _solution(self, done: _Pass) -> tuple[SubproblemSolution, Scalar]:
+    def _solution(self, done: Refinement) -> tuple[SubproblemSolution, Scalar]:
         """With the multipliers of what is forced, and what is left of the gradient."""
         pushes, told = done.pushes, self.told
         slope = jax.grad(self._lagrangian)(done.step, done.costates, pushes)

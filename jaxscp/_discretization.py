@@ -107,8 +107,13 @@ class Discretization(eqx.Module):
 
     @property
     def least_substeps(self) -> int:
-        """The fewest substeps: two for each part of an interval that is watched."""
-        return max(self.min_substeps, 2 * self.between)
+        """The fewest substeps that a solve may take."""
+        return max(self.min_substeps, self.watching_substeps)
+
+    @property
+    def watching_substeps(self) -> int:
+        """The fewest that see a peak in each part of an interval that is watched: two."""
+        return 2 * self.between
 
     @property
     def holds_right(self) -> bool:

@@ -11,11 +11,12 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ._active_system import PerLimit
+from ._compiler import compiled
 from ._kkt import KKTPoint, Optimum, of_inequalities, slacks
 from ._kkt_system import kkt_solve
 from ._max_norm import max_norm
 from ._per_constraint import PerConstraint
+from ._per_limit import PerLimit
 from ._regularity import fixed_limits
 from ._transcription import Transcription, Variables
 from ._types import Array, Scalar
@@ -24,7 +25,7 @@ from ._types import Array, Scalar
 _DEPENDENT = 1e-7
 
 
-@eqx.filter_jit
+@compiled
 def exchanged(
     transcription: Transcription, optimum: Optimum, entering: PerLimit
 ) -> Optimum:

@@ -20,8 +20,8 @@ import jax
 import jax.numpy as jnp
 
 from ._active_set import resting, rooms
-from ._active_system import PerLimit
 from ._per_constraint import PerConstraint
+from ._per_limit import PerLimit
 from ._scaling import Scaling
 from ._subproblem import step_limits
 from ._transcription import Residuals, Transcription, Variables

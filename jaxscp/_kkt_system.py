@@ -6,11 +6,12 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ._active_system import ActiveSystem, PerLimit
+from ._active_system import ActiveSystem
 from ._damping import Damping
 from ._kkt import KKTPoint, Optimum
 from ._max_norm import max_norm
 from ._model import Model, exact_curvature
+from ._per_limit import PerLimit
 from ._transcription import Derivatives, Residuals, Transcription
 from ._types import Array, Scalar
 

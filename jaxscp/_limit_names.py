@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ._active_system import PerLimit
+from ._per_limit import PerLimit
 from ._problem import entry_name
 from ._scaling import Scaling
 from ._solution import Solution

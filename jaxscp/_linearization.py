@@ -8,6 +8,7 @@ from ._intervals import IntervalJacobians, Intervals, linearize as of_intervals
 from ._problem import OptimalControlProblem
 from ._trajectory import Trajectory
 from ._transcription import Transcription
+from ._tree import as_parameters
 from ._types import Array, is_concrete
 from ._validation import check_guess, check_precision, check_problem
 
@@ -38,9 +39,10 @@ def linearize(
     trajectory that makes no sense, or for too few substeps.
     """
     check_precision()
+    problem, trajectory = as_parameters((problem, trajectory))
     check_problem(problem)
     check_guess(problem, trajectory, "trajectory")
-    least = max(1, 2 * discretization.between)
+    least = max(1, discretization.watching_substeps)
     if is_concrete(substeps) and substeps < least:
         raise ValueError(f"substeps={substeps}: give {least} or more.")
     transcription = Transcription(problem, discretization, trajectory.fractions)

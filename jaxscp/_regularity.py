@@ -5,9 +5,10 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ._active_system import PerLimit
+from ._compiler import compiled
 from ._kkt import KKTPoint, Optimum, conditions, of_inequalities, slacks
 from ._kkt_system import kkt_solve
+from ._per_limit import PerLimit
 from ._transcription import Transcription, Variables
 from ._types import Scalar
 
@@ -38,7 +39,7 @@ class Regularity(eqx.Module):
         return low, high
 
 
-@eqx.filter_jit
+@compiled
 def regularity(transcription: Transcription, optimum: Optimum) -> Regularity:
     """How regular an optimum is."""
     fixed = fixed_limits(transcription)

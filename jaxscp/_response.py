@@ -13,12 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ._active_system import PerLimit
+from ._compiler import compiled
 from ._exchange import exchanged
 from ._free_intervals import lowered
 from ._kkt import of_inequalities, slacks
 from ._limit_names import LimitName, flat, names_at
 from ._outcome import moved
+from ._per_limit import PerLimit
 from ._regularity import Regularity, by_side
 from ._sensitivity import optimal_point
 from ._solution import Multipliers, Solution
@@ -102,7 +103,7 @@ def response(
     return Response(nothing, side * np.inf, None)
 
 
-@eqx.filter_jit
+@compiled
 def _rates(
     solution: Solution, tangent: PyTree
 ) -> tuple[Rates, PerLimit, tuple[PerLimit, PerLimit]]:

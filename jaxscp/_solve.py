@@ -2,12 +2,10 @@
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from ._captured import check_captured
 from ._choice import best, best_unverified
@@ -23,7 +21,7 @@ from ._smoothing import check_smoothing
 from ._solution import Solution, check_polished
 from ._trajectory import Trajectory, straight_line
 from ._transcription import Transcription
-from ._tree import constant, is_differentiated
+from ._tree import as_parameters, constant, is_differentiated
 from ._types import Array, ArrayLike, Scalar, is_concrete
 from ._validation import check_guesses, check_precision, check_problem
 
@@ -99,7 +97,7 @@ def solve(
     """
     begun = time.perf_counter()
     check_precision()
-    problem = jax.tree.map(_as_parameter, problem)
+    problem = as_parameters(problem)
     check_captured(problem)
     numbers = constant(problem)
     check_problem(numbers)
@@ -125,15 +123,6 @@ def solve(
     if throw:
         return solution.status.error_if(solution, ~solution.converged)
     return solution
-
-
-def _as_parameter(leaf: Any) -> Any:
-    """NumPy's numbers are parameters, too. Weakly typed ones would compile anew."""
-    weak = isinstance(leaf, jax.Array) and leaf.weak_type
-    if not weak and not isinstance(leaf, (np.ndarray, np.generic)):
-        return leaf
-    # As NumPy's arrays where they can be: JAX compiles a program to convert others.
-    return jnp.asarray(np.asarray(leaf) if is_concrete(leaf) else leaf, leaf.dtype)
 
 
 def _best(

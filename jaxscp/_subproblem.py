@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ._assembly import subproblem_solver
 from ._bounds import Bounds
 from ._constraints import integral_limits
 from ._damping import Damping
@@ -21,6 +20,7 @@ from ._per_constraint import PerConstraint
 from ._qp import PIQP
 from ._scaling import Scaling
 from ._subproblem_data import Limits, Outline, Prices, SubproblemData
+from ._subproblem_solver import subproblem_solver
 from ._transcription import Transcription, Variables
 from ._types import Array, Float, Scalar
 

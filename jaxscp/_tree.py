@@ -1,15 +1,31 @@
-"""Trees of arrays: choosing between them, and holding them constant."""
+"""Trees of arrays: choosing between them, making them parameters or constants."""
+
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-from ._types import Array, PyTree
+from ._types import Array, PyTree, is_concrete
 
 
 def tree_where(condition: Array, yes, no):
     """One tree or the other, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+
+
+def as_parameters(tree: PyTree) -> PyTree:
+    """NumPy's numbers are parameters, too. Weakly typed ones would compile anew."""
+
+    def as_parameter(leaf: Any) -> Any:
+        weak = isinstance(leaf, jax.Array) and leaf.weak_type
+        if not weak and not isinstance(leaf, (np.ndarray, np.generic)):
+            return leaf
+        # As NumPy's arrays where they can be: JAX compiles a program to convert others.
+        return jnp.asarray(np.asarray(leaf) if is_concrete(leaf) else leaf, leaf.dtype)
+
+    return jax.tree.map(as_parameter, tree)
 
 
 def constant(tree: PyTree) -> PyTree:

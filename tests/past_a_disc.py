@@ -15,7 +15,6 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 from jaxscp import Bounds, FirstOrderHold, OptimalControlProblem, ZeroOrderHold
-from jaxscp._assembly import subproblem_solver
 from jaxscp._damping import Damping
 from jaxscp._discretization import Discretization, Quadrature
 from jaxscp._layout import Structure
@@ -26,6 +25,7 @@ from jaxscp._qp import PIQP
 from jaxscp._scaling import Scaling, automatic_scaling
 from jaxscp._subproblem import SubproblemSolution, solve_subproblem, step_limits
 from jaxscp._subproblem_data import Limits, Outline, Prices, SubproblemData
+from jaxscp._subproblem_solver import subproblem_solver
 from jaxscp._transcription import Transcription, Variables
 
 INF = np.inf

@@ -1,11 +1,13 @@
 """`linearize`, against closed forms and other ways to the same."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
+from test_validation import compilations
 
 import jaxscp
 from jaxscp import Bounds, Discretization, FirstOrderHold, Integral, OptimalControlProblem
@@ -106,3 +108,14 @@ def test_what_makes_no_sense_is_refused(trajectory):
     )
     with pytest.raises(ValueError, match=r"trajectory\.states has shape \(5, 1\)"):
         jaxscp.linearize(PROBLEM, short)
+
+
+# JAX's own are strongly typed, or weakly as Python's are.
+@pytest.mark.parametrize("number", [np.float64, jnp.float64, jnp.asarray])
+def test_new_numbers_compile_nothing(trajectory, number):
+    jaxscp.linearize(PROBLEM, trajectory, substeps=2)
+    longer = eqx.tree_at(lambda t: t.final_time, trajectory, number(2.0 * TIME))
+    with compilations() as compiled:
+        values, _ = jaxscp.linearize(PROBLEM, longer, substeps=3)
+    assert not compiled
+    assert values.next_state.shape == (4, 2)
