@@ -16,6 +16,9 @@ import jax.numpy as jnp
 from ._stages import Matrices, Vectors
 from ._types import Array, Float, Scalar
 
+# Decisions of a stage that are eliminated without a loop.
+_FEW = 8
+
 
 class Forced(eqx.Module):
     """Variables that are told what to be: which ones, and what.
@@ -37,7 +40,8 @@ class Factors(eqx.Module):
         forced; `own` that remainder. `cross`: what is left of those by v and y.
     - `gain`: of the best decision by y. `closed`: y at the right end by y at the left
         with that decision.
-    - `convexity`: least curvature that was met along the dynamics.
+    - `convexity`: least curvature that was met along the dynamics, of one variable with
+        those after it at their best, relative to that with the others at rest.
     """
 
     ahead: Float[Array, "I y y"]
@@ -59,39 +63,71 @@ def factorize(matrices: Matrices, forced: Forced) -> Factors:
     def back(ahead, stage):
         onward, transposed, cost, told = stage
         whole = cost + transposed @ (ahead @ onward)
-        cross = whole[size:, :size]
-        inverse, least = _inverse(whole[size:, size:], told)
-        left = whole[:size, :size] - cross.T @ inverse @ cross
-        return 0.5 * (left + left.T), (inverse, whole[size:], ahead, least)
+        # Where rounding leaves it askew, what is askew grows from stage to stage.
+        whole = 0.5 * (whole + whole.T)
+        swept, pivots = _swept(whole, told)
+        return swept[:size, :size], (swept[size:], whole[size:], ahead, pivots)
 
-    first, (inverse, left, ahead, least) = jax.lax.scan(
+    first, (swept, left, ahead, pivots) = jax.lax.scan(
         back,
         matrices.last,
         # Transposed in advance: small products of transposed matrices are slow.
         (matrices.onward, matrices.onward.mT, matrices.cost, forced.controls[0]),
         reverse=True,
     )
-    cross, own = left[:, :, :size], left[:, :, size:]
-    gain = -jnp.einsum("kij,kjy->kiy", inverse, cross)
+    gain, inverse = -swept[:, :, :size], -swept[:, :, size:]
     by_state, by_control = matrices.onward[:, :, :size], matrices.onward[:, :, size:]
     closed = by_state + jnp.einsum("kyi,kiz->kyz", by_control, gain)
-    begin, begun = _inverse(first, forced.first[0])
-    convexity = jnp.minimum(jnp.min(least), begun)
-    return Factors(ahead, first, begin, inverse, own, cross, gain, closed, convexity)
+    begin, begun = _swept(first, forced.first[0])
+    return Factors(
+        ahead=ahead,
+        first=first,
+        begin=-begin,
+        inverse=inverse,
+        own=left[:, :, size:],
+        cross=left[:, :, :size],
+        gain=gain,
+        closed=closed,
+        convexity=jnp.minimum(jnp.min(pivots), jnp.min(begun)),
+    )
 
 
-def _inverse(matrix: Float[Array, "a a"], told: Float[Array, " a"]):
-    """Inverse by the entries that are free, and their least eigenvalue."""
-    free = 1.0 - told
-    kept = matrix * jnp.outer(free, free)
-    # What is forced must not pass for a lack of convexity.
-    kept += jnp.diag(told)
-    # Controls may act more than a thousand times stronger than others.
-    size = jnp.abs(jnp.diagonal(kept))
-    unit = jnp.where(size > 0.0, 1.0 / jnp.sqrt(jnp.where(size > 0.0, size, 1.0)), 1.0)
-    values, vectors = jnp.linalg.eigh(kept * jnp.outer(unit, unit))
-    inverse = (vectors / values[None]) @ vectors.T
-    return inverse * jnp.outer(unit * free, unit * free), jnp.min(values)
+def _swept(
+    matrix: Float[Array, "a a"], told: Float[Array, " b"]
+) -> tuple[Float[Array, "a a"], Float[Array, " b"]]:
+    """A quadratic form with its last variables eliminated, but for those that are told.
+
+    The symmetric sweep operator: Goodnight, The American Statistician 33 (1979). Of
+
+        [A  B'; B  C]  it makes  [A - B' inv(C) B, (inv(C) B)'; inv(C) B, -inv(C)],
+
+    zero where a variable is told.
+
+    **Returns:** that, and the pivots, each relative to its entry before.
+    """
+    size = matrix.shape[0]
+    kept = size - told.size
+    free = jnp.concatenate([jnp.ones(kept), 1.0 - told])
+    # What is told must not pass for a lack of convexity.
+    left = matrix * jnp.outer(free, free) + jnp.diag(1.0 - free)
+    before = jnp.abs(jnp.diagonal(left))[kept:]
+
+    def sweep(left: Array, k: Array) -> tuple[Array, Scalar]:
+        own = jnp.arange(size) == k
+        row, pivot = left[k], left[k, k]
+        inverse = 1.0 / jnp.where(pivot == 0.0, 1.0, pivot)
+        divided = inverse * row
+        rest = left - row[:, None] * divided[None]
+        rest = jnp.where(own[:, None], divided[None], rest)
+        rest = jnp.where(own[None], divided[:, None], rest)
+        return jnp.where(own[:, None] & own[None], -inverse, rest), pivot
+
+    # The few of a stage are written out: a loop in a loop takes longer.
+    left, pivots = jax.lax.scan(
+        sweep, left, jnp.arange(kept, size), unroll=told.size <= _FEW
+    )
+    relative = pivots / jnp.where(before > 0.0, before, 1.0)
+    return left * jnp.outer(free, free), relative
 
 
 def solve(
