@@ -96,11 +96,8 @@ def next_reach(
     before = state.reach.length
     longer = jnp.maximum(jnp.where(jnp.isinf(before), 0.0, before), change * length)
     good = judgement.accepted & ((ratio >= poor_ratio) | near)
-    allowed = jnp.where(good, longer, length / factor)
-    # A step's length goes about with the inverse root of its weight.
-    least = jnp.where(near, 0.0, 1.0 / factor**2)
-    lighter = jnp.clip((length / allowed) ** 2, least, factor**2)
-    return Reach(allowed, lighter * newton.weight)
+    length = jnp.where(good, longer, length / factor)
+    return Reach(length, newton.weight / factor**2)
 
 
 def blind_reach(transcription: Transcription, before: SCPState, after: SCPState) -> Reach:
@@ -117,12 +114,8 @@ def blind_reach(transcription: Transcription, before: SCPState, after: SCPState)
     # A step squares the residual: what is above its root takes several to take back.
     worse = residual > jnp.maximum(3.0 * earlier, 0.3 * jnp.sqrt(earlier))
     worse &= before.near & ~before.iterate.fresh
-    shorter = jnp.where(worse, 0.1, 1.0)
-    # A lighter one would be tried in vain where steps are as long as they may be.
-    weight = jnp.maximum(
-        factor * residual * transcription.nodes, before.reach.weight / shorter**2
-    )
-    return Reach(shorter * before.reach.length, weight)
+    length = jnp.where(worse, 0.1, 1.0) * before.reach.length
+    return Reach(length, factor * residual * transcription.nodes)
 
 
 def _is_right(ratio: Scalar) -> Array:

@@ -20,6 +20,7 @@ def energy(distance, duration):
     return jaxscp.solve(problem, nodes=7, discretization=LINEAR)
 
 
+@pytest.mark.slow
 class TestClosedForms:
     """Where the hold is exact the discrete optimum is the true one."""
 

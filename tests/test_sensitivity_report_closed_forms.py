@@ -8,6 +8,8 @@ import pytest
 import jaxscp
 from jaxscp import Discretization, FirstOrderHold, textbook
 
+pytestmark = pytest.mark.slow
+
 LINEAR = Discretization(hold=FirstOrderHold())
 
 
