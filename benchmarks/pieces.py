@@ -3,15 +3,12 @@
 They take a discrete problem and a state, as the whole iteration does.
 """
 
-import functools
-
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 import jaxscp
 from jaxscp._active_set import NewtonStep
-from jaxscp._compiler import compiler_options
+from jaxscp._compiler import compiled
 from jaxscp._iteration import linearized, try_step
 from jaxscp._layout import Structure
 from jaxscp._model import Model, model_curvatures
@@ -21,16 +18,6 @@ from jaxscp._subproblem_data import SubproblemData
 from jaxscp._trust_region import metric
 
 METHOD = jaxscp.ProximalSCP()
-
-
-def _compiled(function):
-    """As `solve` compiles: JAX starts when it is called, not before."""
-
-    @functools.cache
-    def program():
-        return eqx.filter_jit(function, compiler_options=compiler_options())
-
-    return functools.wraps(function)(lambda *arguments: program()(*arguments))
 
 
 class _Counting(jaxscp.ProximalSCP):
@@ -47,18 +34,18 @@ class _WithoutQP(jaxscp.ProximalSCP):
         return state.solution
 
 
-@_compiled
+@compiled
 def first(transcription, variables):
     return METHOD.init(transcription, variables)
 
 
-@_compiled
+@compiled
 def look(transcription, state):
     """The part of an iteration before its step: nothing is left to do at any residual."""
     return jaxscp.ProximalSCP(tolerance=jnp.inf).step(transcription, state)
 
 
-@_compiled
+@compiled
 def move(transcription, state):
     """The part after it; whether it ends the solve, whether Newton's step was tried."""
     after, passes = _Counting()._iterate(transcription, state)
@@ -66,18 +53,18 @@ def move(transcription, state):
     return after, passes, METHOD._trusts_newton(state), done
 
 
-@_compiled
+@compiled
 def dispatch(transcription, state):
     """What calling any program costs."""
     return state.radius + 0.0
 
 
-@_compiled
+@compiled
 def linearization(transcription, state):
     return linearized(transcription, state.scaling, state.iterate)
 
 
-@_compiled
+@compiled
 def conditions(transcription, state):
     return optimality(transcription, state.scaling, state.iterate, state.solution)
 
@@ -90,10 +77,10 @@ def _parts(transcription, state):
     return curvatures, metric(transcription, state, curvatures, sound)
 
 
-curvature = _compiled(_parts)
+curvature = compiled(_parts)
 
 
-@_compiled
+@compiled
 def newton(transcription, state, parts):
     """The search for Newton's step and the active constraints."""
     start = NewtonStep.begun(state.solution, state.reach.weight)
@@ -108,13 +95,13 @@ def _convex(transcription, state, parts):
     return model, measure, limits
 
 
-@_compiled
+@compiled
 def subproblem(transcription, state, parts):
     """A whole subproblem, with the call to the host."""
     return METHOD._by_qp(transcription, state, *_convex(transcription, state, parts))
 
 
-@_compiled
+@compiled
 def data(transcription, state, parts) -> tuple[SubproblemData, jax.Array]:
     """What goes to the host, as blocks and as the vector it travels in."""
     model, measure, limits = _convex(transcription, state, parts)
@@ -125,7 +112,7 @@ def data(transcription, state, parts) -> tuple[SubproblemData, jax.Array]:
     return blocks, jnp.concatenate([jnp.ravel(leaf) for leaf in leaves])
 
 
-@_compiled
+@compiled
 def trial(transcription, state):
     """The discrete problem where a step leads."""
     at = (state.scaling, state.iterate, state.solution, state.merit)

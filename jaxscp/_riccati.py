@@ -40,8 +40,8 @@ class Factors(eqx.Module):
         forced; `own` that remainder. `cross`: what is left of those by v and y.
     - `gain`: of the best decision by y. `closed`: y at the right end by y at the left
         with that decision.
-    - `convexity`: least curvature that was met along the dynamics, of one variable with
-        those after it at their best, relative to that with the others at rest.
+    - `convexity`: least curvature that was met along the dynamics: of one variable with
+        those already eliminated at their best, relative to that with them at rest.
     """
 
     ahead: Float[Array, "I y y"]

@@ -105,6 +105,7 @@ def solve(
         guess = straight_line(numbers, nodes)
     check_smoothing(smoothing)
     guesses = (guess,) if isinstance(guess, Trajectory) else tuple(guess)
+    guesses = as_parameters(guesses)
     check_guesses(numbers, guesses)
     transcription = Transcription(problem, discretization, guesses[0].fractions)
     none = is_concrete(smoothing) and not smoothing

@@ -46,7 +46,7 @@ class TestBrysonDenham:
         assert str(weak.limit) == "position, upper limit, at node 4 (0.5 s)"
         assert report.doubts == ("Weakly active: position, upper limit: 4.",)
         assert report.nearest == weak
-        assert report.margin < 1e-7
+        assert report.margin < 1e-9
         ahead, behind = (
             answer.rates.trajectory.controls[:, 0]
             for answer in (report.ahead, report.behind)

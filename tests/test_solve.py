@@ -466,6 +466,7 @@ def test_new_numbers_compile_nothing(number):
         lambda problem: problem.dynamics.function.drag, problem, number(0.15)
     )
     guess = jaxscp.straight_line(problem, np.array(UNEVEN), final_time=3.0)
+    guess = eqx.tree_at(lambda guess: guess.final_time, guess, number(3.0))
     first = converged()
     with compilations() as compiled:
         second = solve(problem, guess)
