@@ -13,6 +13,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ._compiler import traced_once
 from ._damping import Damping
 from ._max_norm import max_norm
 from ._model import Model
@@ -98,6 +99,7 @@ class ActiveSystem(eqx.Module):
         pull = self.pull
         return PerLimit(pull.step, pull.path, pull.between, pull.integral)
 
+    @traced_once
     def solved(self, pushes: PerLimit, precision: Scalar) -> "Solved":
         """The step, and how good it is.
 

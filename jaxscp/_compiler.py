@@ -47,3 +47,20 @@ def compiled(function: Callable[..., _R]) -> Callable[..., _R]:
         return program(alone)(*arguments)
 
     return call
+
+
+def traced_once(function: Callable[..., _R]) -> Callable[..., _R]:
+    """`eqx.filter_jit`, for what one program has in more than one place.
+
+    JAX keeps what it traced for a context, of which the devices' mesh is a part: unnamed
+    at first, named where it differentiates what is traced already. Always naming it
+    makes these the same.
+    """
+    program = eqx.filter_jit(function)
+
+    @functools.wraps(function)
+    def call(*arguments: Any, **named: Any) -> _R:
+        with jax.sharding.use_abstract_mesh(jax.sharding.get_abstract_mesh()):
+            return program(*arguments, **named)
+
+    return call

@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ._compiler import traced_once
 from ._curvature import Curvature, convex_part
 from ._lagrangian import lagrangian_hessian, nodal_curvature
 from ._per_constraint import PerConstraint
@@ -54,6 +55,7 @@ def cost_gradient(derivatives: Derivatives) -> Variables:
     return Variables(states, controls, jnp.sum(cost.time[:, -1]) + nodes.terminal_time)
 
 
+@traced_once
 def linear_prediction(
     residuals: Residuals, derivatives: Derivatives, step: Variables
 ) -> Residuals:
@@ -91,6 +93,7 @@ def nodewise_curvature(
     return dataclasses.replace(scaled, blocks=convex_part(scaled.blocks))
 
 
+@traced_once
 def exact_curvature(
     transcription: Transcription,
     scaling: Scaling,

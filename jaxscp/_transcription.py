@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ._compiler import traced_once
 from ._discretization import Discretization
 from ._flow import Flow
 from ._intervals import IntervalJacobians, Intervals, linearize, propagate
@@ -163,6 +164,7 @@ class Transcription(eqx.Module):
             lower, upper = lower.at[node].set(low), upper.at[node].set(high)
         return lower, upper
 
+    @traced_once
     def evaluate(
         self, variables: Variables, substeps: Array | int, *, reversible: bool = False
     ) -> Residuals:
@@ -176,6 +178,7 @@ class Transcription(eqx.Module):
         intervals = propagate(flow, *self._arguments(variables))
         return self._residuals(variables, intervals)
 
+    @traced_once
     def linearize(
         self, variables: Variables, substeps: Array | int
     ) -> tuple[Residuals, Derivatives]:
