@@ -2,7 +2,8 @@
 
 The iterates of a solve are found again one by one, from Python, and each piece of an
 iteration is timed at each of them as a program of its own, as often as the solve needed
-it. Milliseconds are sums over all iterates, without what calling a program costs.
+it; the search for Newton's step is what the iteration takes beside the others.
+Milliseconds are sums over all iterates, without what calling a program costs.
 """
 
 import argparse
@@ -79,19 +80,23 @@ def _iteration(transcription: Transcription, state, ledger: Ledger) -> tuple[Any
     if float(looked.optimality) <= pieces.METHOD.tolerance:
         return looked, True
     after, passes, tried, done = pieces.move(*at)
-    ledger.add("curvature", median(lambda: pieces.curvature(*at)) - idle)
-    parts = pieces.curvature(*at)
-    if bool(tried):
-        spent = median(lambda: pieces.newton(*at, parts)) - idle
-        ledger.add("newton", spent, int(passes))
+    left = median(lambda: pieces.move(*at)) - idle
+    spent = median(lambda: pieces.curvature(*at)) - idle
+    ledger.add("curvature", spent)
+    left -= spent
+    spent = median(lambda: pieces.trial(*at)) - idle
+    ledger.add("trial", spent, int(passes))
+    left -= int(passes) * spent
     if solves := int(after.subproblems - looked.subproblems):
-        _qp(transcription, looked, parts, idle, solves, ledger)
-    ledger.add("trial", median(lambda: pieces.trial(*at)) - idle, int(passes))
+        parts = pieces.curvature(*at)
+        left -= _qp(transcription, looked, parts, idle, solves, ledger)
+    if bool(tried):
+        ledger.add("newton", left / int(passes), int(passes))
     return after, bool(done)
 
 
-def _qp(transcription, state, parts, idle: float, solves: int, ledger: Ledger) -> None:
-    """One subproblem, from the outside and on the host."""
+def _qp(transcription, state, parts, idle: float, solves: int, ledger: Ledger) -> float:
+    """Subproblems, from the outside and on the host: seconds of an iteration's."""
     at, structure = (transcription, state, parts), Structure.of(transcription)
     blocks, flat = jax.block_until_ready(pieces.data(*at))
     outline, settings = Outline.of(blocks), pieces.METHOD.qp
@@ -107,6 +112,7 @@ def _qp(transcription, state, parts, idle: float, solves: int, ledger: Ledger) -
     ledger.add("piqp", inside, times)
     ledger.add("host", host - inside, times)
     ledger.add("callback", whole - built - host, times)
+    return times * whole
 
 
 def measure(name: str, repeats: int) -> dict:

@@ -7,7 +7,6 @@ import jax
 import jax.numpy as jnp
 
 import jaxscp
-from jaxscp._active_set import NewtonStep
 from jaxscp._compiler import compiled
 from jaxscp._iteration import linearized, try_step
 from jaxscp._layout import Structure
@@ -25,13 +24,6 @@ class _Counting(jaxscp.ProximalSCP):
 
     def _advance(self, transcription, state, found, judgement):
         return super()._advance(transcription, state, found, judgement), found.passes
-
-
-class _WithoutQP(jaxscp.ProximalSCP):
-    """Where Newton's step is not found, there is none."""
-
-    def _by_qp(self, transcription, state, model, measure, limits):
-        return state.solution
 
 
 @compiled
@@ -78,14 +70,6 @@ def _parts(transcription, state):
 
 
 curvature = compiled(_parts)
-
-
-@compiled
-def newton(transcription, state, parts):
-    """The search for Newton's step and the active constraints."""
-    start = NewtonStep.begun(state.solution, state.reach.weight)
-    around = state.iterate.residuals
-    return _WithoutQP()._solve(transcription, state, around, start, *parts)
 
 
 def _convex(transcription, state, parts):
