@@ -9,6 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._bounds import Bounds
+from ._flight_state import (
+    ALTITUDE,
+    CONTROL_UNITS,
+    STATE_SCALES,
+    STATE_UNITS,
+    TILTS,
+    UNITS,
+    limited,
+)
 from ._guess_plan import MOST_ROUTES, Flight, GuessPlan, at_rest
 from ._problem import Integral, OptimalControlProblem
 from ._records import from_dict, to_dict
@@ -20,31 +29,6 @@ from .models.limits import Limits
 from .models.obstacles import Cylinders
 from .models.quadrotor import Quadrotor
 from .models.systems import control_energy
-
-STATE_UNITS = {
-    **dict.fromkeys(("x", "y", "z"), "m"),
-    **dict.fromkeys(("vx", "vy", "vz"), "m/s"),
-    **dict.fromkeys(("roll", "pitch", "yaw"), "rad"),
-    **dict.fromkeys(("p", "q", "r"), "rad/s"),
-}
-CONTROL_UNITS = {
-    "thrust": "N",
-    **dict.fromkeys(("roll_torque", "pitch_torque", "yaw_torque"), "N m"),
-}
-UNITS = {
-    **STATE_UNITS,
-    **CONTROL_UNITS,
-    "buildings": "m",
-    "data": "bit",
-    "objective": "N^2 s",
-}
-# The states that have limits.
-_ALTITUDE, _TILTS = 2, slice(6, 8)
-# Typical size of each state, for the automatic scaling: how far it moves in a flight of
-# half a kilometre where no limit says so. NaN leaves roll and pitch to their limits.
-STATE_SCALES = np.array(
-    [250.0, 250.0, 50.0, 10.0, 10.0, 10.0, np.nan, np.nan, 0.5, 1.0, 1.0, 1.0]
-)
 
 
 class Mission(eqx.Module):
@@ -153,7 +137,7 @@ class Mission(eqx.Module):
                 *figures.state,
                 scale=STATE_SCALES,
                 fixed=(False,) * 12,
-                limited=_limited(self.altitude_floor is not None),
+                limited=limited(self.altitude_floor is not None),
             ),
             control=Bounds(*figures.control, fixed=(False,) * 4),
             initial_state=Bounds.exactly(figures.ends[0]),
@@ -237,8 +221,8 @@ class _Figures(NamedTuple):
 def _figures(mission: Mission) -> _Figures:
     floor = -jnp.inf if mission.altitude_floor is None else mission.altitude_floor
     tilt = mission.limits.tilt
-    lower = jnp.full(12, -jnp.inf).at[_ALTITUDE].set(floor).at[_TILTS].set(-tilt)
-    upper = jnp.full(12, jnp.inf).at[_TILTS].set(tilt)
+    lower = jnp.full(12, -jnp.inf).at[ALTITUDE].set(floor).at[TILTS].set(-tilt)
+    upper = jnp.full(12, jnp.inf).at[TILTS].set(tilt)
     most = jnp.concatenate([mission.limits.thrust[None], mission.limits.torque])
     places = [mission.start, mission.goal]
     if mission.data_required is not None:
@@ -259,15 +243,6 @@ def _figures(mission: Mission) -> _Figures:
         # That of the shortest.
         expected_time=jnp.sum(flights[0].legs) + jnp.sum(flights[0].stays),
     )
-
-
-def _limited(floor: bool) -> tuple[tuple[bool, ...], tuple[bool, ...]]:
-    """Which states have a lower and which an upper limit: altitude, roll and pitch."""
-    upper = np.zeros(12, bool)
-    upper[_TILTS] = True
-    lower = upper.copy()
-    lower[_ALTITUDE] = floor
-    return tuple(lower.tolist()), tuple(upper.tolist())
 
 
 def _check_place(mission: Mission, end: str):

@@ -10,7 +10,16 @@ PACKAGE = Path(__file__).parents[1] / "jaxscp"
 # From the ground up. A folder's `__init__` goes by the folder's name, the package's own
 # by the empty one.
 FLOORS = (
-    {"_cache", "_records", "_types", "_version", "plot._contours", "plot._style"},
+    {
+        "_cache",
+        "_flight_state",
+        "_pattern",
+        "_records",
+        "_types",
+        "_version",
+        "plot._contours",
+        "plot._style",
+    },
     {"_compiler", "_host", "_loop", "_nonlinear", "_tree"},
     {"_status", "_bounds", "_hold", "_progress", "_qp", "_packed"},
     {"_direction"},

@@ -1,0 +1,193 @@
+"""How the entries of an array depend on those of an argument, operation by operation."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+
+class Pattern(NamedTuple):
+    """Of the entries of one array, by the entries `v` of the argument.
+
+    - `enters`, `bends`: shape of the array and v: whether an entry depends on one of the
+        argument's, and whether nonlinearly.
+    - `value`: of constants that are known, such as indices.
+    """
+
+    enters: np.ndarray
+    bends: np.ndarray
+    value: np.ndarray | None = None
+
+    @classmethod
+    def none(cls, value, size: int) -> "Pattern":
+        """Of a constant."""
+        nothing = np.zeros((*np.shape(value), size), bool)
+        known = None if isinstance(value, jax.core.Tracer) else np.asarray(value)
+        return cls(nothing, nothing, known)
+
+    @property
+    def depends(self) -> bool:
+        return bool(self.enters.any())
+
+
+def values(patterns: list[Pattern]) -> list[np.ndarray] | None:
+    """What constants are, if that is known of all."""
+    known = [each.value for each in patterns if each.value is not None]
+    return known if len(known) == len(patterns) else None
+
+
+def evaluated(equation, known: list[np.ndarray]) -> list[np.ndarray]:
+    """The results of an operation whose operands are known."""
+    with jax.ensure_compile_time_eval():
+        found = equation.primitive.bind(*map(jnp.asarray, known), **equation.params)
+        several = equation.primitive.multiple_results
+        return [np.asarray(each) for each in (found if several else [found])]
+
+
+def _linear(_, inputs: list[Pattern]) -> Pattern:
+    """Entry by entry, linear in each operand; also where kinks join linear pieces."""
+    shape = np.broadcast_shapes(*(each.enters.shape for each in inputs))
+    enters, bends = np.zeros(shape, bool), np.zeros(shape, bool)
+    for each in inputs:
+        enters, bends = enters | each.enters, bends | each.bends
+    return Pattern(enters, bends)
+
+
+def _bent(equation, inputs: list[Pattern]) -> Pattern:
+    """Entry by entry, nonlinear in each operand."""
+    enters = _linear(equation, inputs).enters
+    return Pattern(enters, enters)
+
+
+def _product(equation, inputs: list[Pattern]) -> Pattern:
+    found = _linear(equation, inputs)
+    both = [each.enters.any(axis=-1, keepdims=True) for each in inputs]
+    return Pattern(found.enters, found.bends | (found.enters & both[0] & both[1]))
+
+
+def _quotient(equation, inputs: list[Pattern]) -> Pattern:
+    found, below = _linear(equation, inputs), inputs[1].enters
+    bent = found.enters & below.any(axis=-1, keepdims=True)
+    return Pattern(found.enters, found.bends | bent)
+
+
+def _power(equation, inputs: list[Pattern]) -> Pattern:
+    return (_linear if equation.params["y"] == 1 else _bent)(equation, inputs)
+
+
+def _chosen(equation, inputs: list[Pattern]) -> Pattern:
+    """Derivatives of `select_n` are those of the case that is chosen."""
+    return _linear(equation, inputs[1:])
+
+
+def _moved(equation, inputs: list[Pattern]) -> Pattern | None:
+    """Entries of the first operand at other places: they are told where by numbers."""
+    first, *places = inputs
+    known = values(places)
+    if known is None:
+        return None
+    shape = first.enters.shape[:-1]
+    numbers = np.arange(1, np.prod(shape, dtype=int) + 1).reshape(shape)
+    move = _MOVES.get(equation.primitive.name)
+    if move is None:
+        (sources,) = evaluated(equation, [numbers, *known])
+    else:
+        sources = move(numbers, equation.outvars[0].aval.shape, equation.params)
+    # What comes from beyond the array is a constant.
+    flat = [np.vstack([np.zeros_like(e[:1]), e]) for e in _flat(first)]
+    return Pattern(*(each[np.maximum(sources, 0)] for each in flat))
+
+
+def _sliced(numbers: np.ndarray, shape, params: dict) -> np.ndarray:
+    starts, ends = params["start_indices"], params["limit_indices"]
+    strides = params["strides"] or (1,) * len(starts)
+    return numbers[tuple(map(slice, starts, ends, strides))]
+
+
+def _broadcast(numbers: np.ndarray, shape, params: dict) -> np.ndarray:
+    own = [1] * len(shape)
+    for size, axis in zip(numbers.shape, params["broadcast_dimensions"], strict=True):
+        own[axis] = size
+    return np.broadcast_to(numbers.reshape(own), shape)
+
+
+def _flat(pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
+    size = pattern.enters.shape[-1]
+    return pattern.enters.reshape(-1, size), pattern.bends.reshape(-1, size)
+
+
+def _joined(equation, inputs: list[Pattern]) -> Pattern:
+    parts = ([each.enters for each in inputs], [each.bends for each in inputs])
+    if equation.primitive.name == "stack":
+        return Pattern(*(np.stack(part, equation.params["axis"]) for part in parts))
+    return Pattern(
+        *(np.concatenate(part, equation.params["dimension"]) for part in parts)
+    )
+
+
+def _summed(equation, inputs: list[Pattern]) -> Pattern:
+    axes = tuple(equation.params["axes"])
+    parts = (inputs[0].enters, inputs[0].bends)
+    return Pattern(*(np.asarray(part.any(axis=axes)) for part in parts))
+
+
+def _contracted(equation, inputs: list[Pattern]) -> Pattern:
+    """Matrix products: how many terms of each sum depend on what."""
+
+    def terms(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        counts = [one.astype(float), other.astype(float)]
+        with jax.ensure_compile_time_eval():
+            found = equation.primitive.bind(*map(jnp.asarray, counts), **equation.params)
+            return np.asarray(found > 0)
+
+    left, right = inputs
+    ones = [np.ones(each.enters.shape[:-1]) for each in inputs]
+
+    def spread(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+        entries = range(first.shape[-1])
+        return np.stack(
+            [
+                terms(first[..., v], ones[1]) | terms(ones[0], second[..., v])
+                for v in entries
+            ],
+            axis=-1,
+        )
+
+    enters = spread(left.enters, right.enters)
+    both = left.depends and right.depends
+    return Pattern(enters, enters if both else spread(left.bends, right.bends))
+
+
+# fmt: off
+_LINEAR = ("abs", "add", "add_any", "convert_element_type", "copy", "max", "min", "neg",
+           "real", "sub")
+_BENT = ("acos", "asin", "atan", "atan2", "cbrt", "cos", "cosh", "erf", "exp", "exp2",
+         "expm1", "log", "log1p", "logistic", "pow", "rsqrt", "sin", "sinh", "sqrt",
+         "square", "tan", "tanh")
+# fmt: on
+# By NumPy: JAX would compile a program for each of them.
+_MOVES: dict[str, Callable] = {
+    **dict.fromkeys(
+        ("expand_dims", "reshape", "squeeze"),
+        lambda numbers, shape, _: numbers.reshape(shape),
+    ),
+    "broadcast_in_dim": _broadcast,
+    "rev": lambda numbers, _, params: np.flip(numbers, params["dimensions"]),
+    "slice": _sliced,
+    "transpose": lambda numbers, _, params: numbers.transpose(params["permutation"]),
+}
+RULES = {
+    **dict.fromkeys(_LINEAR, _linear),
+    **dict.fromkeys(_BENT, _bent),
+    **dict.fromkeys((*_MOVES, "dynamic_slice", "gather"), _moved),
+    "mul": _product,
+    "div": _quotient,
+    "integer_pow": _power,
+    "select_n": _chosen,
+    "concatenate": _joined,
+    "stack": _joined,
+    "reduce_sum": _summed,
+    "dot_general": _contracted,
+}
