@@ -88,24 +88,24 @@ def _iteration(transcription: Transcription, state, ledger: Ledger) -> tuple[Any
     ledger.add("conditions", median(lambda: pieces.conditions(*at)) - idle)
     if float(looked.optimality) <= pieces.METHOD.tolerance:
         return looked, True
-    after, passes, tried, done = pieces.move(*at)
-    left = median(lambda: pieces.move(*at)) - idle
-    spent = median(lambda: pieces.curvature(*at)) - idle
+    moved = timed(lambda: pieces.move(*at), CALLS)
+    (after, passes, tried, done), left = moved.result, moved.warm - idle
+    curved = timed(lambda: pieces.curvature(*at), CALLS)
+    spent = curved.warm - idle
     ledger.add("curvature", spent)
     left -= spent
     spent = median(lambda: pieces.trial(*at)) - idle
     ledger.add("trial", spent, int(passes))
     left -= int(passes) * spent
     if solves := int(after.subproblems - looked.subproblems):
-        parts = pieces.curvature(*at)
-        left -= _qp(transcription, looked, parts, idle, solves, ledger)
+        left -= _qp(transcription, looked, curved.result, idle, solves, ledger)
     if bool(tried):
         ledger.add("newton", left / int(passes), int(passes))
     return after, bool(done)
 
 
 def _qp(transcription, state, parts, idle: float, solves: int, ledger: Ledger) -> float:
-    """Subproblems, from the outside and on the host: seconds of an iteration's."""
+    """An iteration's subproblems, from the outside and on the host; their seconds."""
     at, structure = (transcription, state, parts), Structure.of(transcription)
     blocks, flat = jax.block_until_ready(pieces.data(*at))
     outline, settings = Outline.of(blocks), pieces.METHOD.qp

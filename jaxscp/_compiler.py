@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 
+from ._tree import as_parameters
 from ._types import is_concrete
 
 _R = TypeVar("_R")
@@ -54,13 +55,13 @@ def traced_once(function: Callable[..., _R]) -> Callable[..., _R]:
 
     JAX keeps what it traced for a context, of which the devices' mesh is a part: unnamed
     at first, named where it differentiates what is traced already. Always naming it
-    makes these the same.
+    makes these the same, and so do numbers that are never weakly typed.
     """
     program = eqx.filter_jit(function)
 
     @functools.wraps(function)
     def call(*arguments: Any, **named: Any) -> _R:
         with jax.sharding.use_abstract_mesh(jax.sharding.get_abstract_mesh()):
-            return program(*arguments, **named)
+            return program(*as_parameters(arguments), **named)
 
     return call

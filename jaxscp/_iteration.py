@@ -60,7 +60,7 @@ def start(
     records: int,
 ) -> SCPState:
     """The state before the first subproblem."""
-    substeps = jnp.asarray(transcription.discretization.least_substeps, int)
+    substeps = jnp.asarray(transcription.discretization.least_substeps)
     # The first step linearizes; until then there is only the room for it.
     residuals, derivatives = jax.tree.map(
         lambda leaf: jnp.zeros(leaf.shape),

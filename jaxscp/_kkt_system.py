@@ -41,8 +41,8 @@ def kkt_solve(transcription: Transcription, optimum: Optimum, right: KKTPoint) -
     roots = optimum.roots
     targets = jax.tree.map(lambda root, r: r / _or_one(root), roots, right)
     system = _system(transcription, optimum, targets)
-    nothing = jax.tree.map(lambda side: jnp.zeros(side.shape), optimum.sides)
-    found = system.solved(nothing, jnp.asarray(_PRECISION, float))
+    nothing = jax.tree.map(jnp.zeros_like, optimum.sides)
+    found = system.solved(nothing, jnp.asarray(_PRECISION))
     solution = found.solution
     of_limits = PerLimit.multipliers(solution).variables
     answer = KKTPoint(solution.step, solution.multipliers, of_limits)

@@ -137,10 +137,8 @@ def _contracted(equation, inputs: list[Pattern]) -> Pattern:
     """Matrix products: how many terms of each sum depend on what."""
 
     def terms(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        counts = [one.astype(float), other.astype(float)]
-        with jax.ensure_compile_time_eval():
-            found = equation.primitive.bind(*map(jnp.asarray, counts), **equation.params)
-            return np.asarray(found > 0)
+        (counts,) = evaluated(equation, [one.astype(float), other.astype(float)])
+        return np.asarray(counts > 0)
 
     left, right = inputs
     ones = [np.ones(each.enters.shape[:-1]) for each in inputs]
