@@ -5,6 +5,7 @@ import jax.numpy as jnp
 
 from ._curvature import Curvature
 from ._loop import over_all
+from ._nonlinear import hessian
 from ._per_constraint import PerConstraint
 from ._second_order import interval_hessian
 from ._step import Span
@@ -60,8 +61,8 @@ def nodal_curvature(
             ]
         )
         root = jnp.sqrt(final_time * share)
-        hessian = jax.hessian(rates)(z) * jnp.outer(root, root)
-        return hessian + jax.hessian(path)(z) if weights.size else hessian
+        curved = hessian(rates, z) * jnp.outer(root, root)
+        return curved + hessian(path, z) if weights.size else curved
 
     blocks = jax.vmap(block)(
         transcription.fractions,
@@ -146,7 +147,7 @@ def _node_blocks(transcription, variables, multipliers) -> Array:
                 return value
             return value + v[-1] * share * (rates @ problem.rates(t, x, u))
 
-        return jax.hessian(total)(jnp.concatenate([x, u, final_time[None]]))
+        return hessian(total, jnp.concatenate([x, u, final_time[None]]))
 
     controls = transcription.nodal_controls(variables)
     blocks = jax.vmap(of_node)(
@@ -157,4 +158,4 @@ def _node_blocks(transcription, variables, multipliers) -> Array:
         return problem.terminal_cost(v[-1], v[:n])
 
     last = jnp.concatenate([variables.states[-1], controls[-1], final_time[None]])
-    return blocks.at[-1].add(jax.hessian(terminal)(last))
+    return blocks.at[-1].add(hessian(terminal, last))

@@ -1,5 +1,6 @@
 """How the entries of an array depend on those of an argument, operation by operation."""
 
+import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -11,8 +12,10 @@ import numpy as np
 class Pattern(NamedTuple):
     """Of the entries of one array, by the entries `v` of the argument.
 
-    - `enters`, `bends`: shape of the array and v: whether an entry depends on one of the
-        argument's, and whether nonlinearly.
+    - `enters`: shape of the array and v: whether an entry depends on one of the
+        argument's.
+    - `bends`: shape of the array, v and v: whether its second derivative by two of them
+        may be other than zero.
     - `value`: of constants that are known, such as indices.
     """
 
@@ -21,11 +24,24 @@ class Pattern(NamedTuple):
     value: np.ndarray | None = None
 
     @classmethod
-    def none(cls, value, size: int) -> "Pattern":
-        """Of a constant."""
-        nothing = np.zeros((*np.shape(value), size), bool)
+    def constant(
+        cls, shape: tuple[int, ...], size: int, value: np.ndarray | None = None
+    ) -> "Pattern":
+        """Of what does not depend on the argument, with its value if that is known."""
+        return cls(
+            np.zeros((*shape, size), bool), np.zeros((*shape, size, size), bool), value
+        )
+
+    @classmethod
+    def of_value(cls, value, size: int) -> "Pattern":
+        """Of a constant of the program."""
         known = None if isinstance(value, jax.core.Tracer) else np.asarray(value)
-        return cls(nothing, nothing, known)
+        return cls.constant(np.shape(value), size, known)
+
+    @classmethod
+    def bent(cls, enters: np.ndarray) -> "Pattern":
+        """Of what is nonlinear in all that enters it."""
+        return cls(enters, _cross(enters, enters))
 
     @property
     def depends(self) -> bool:
@@ -46,31 +62,33 @@ def evaluated(equation, known: list[np.ndarray]) -> list[np.ndarray]:
         return [np.asarray(each) for each in (found if several else [found])]
 
 
+def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Pairs of an entry from the one and one from the other, in either order."""
+    pairs = one[..., :, None] & other[..., None, :]
+    return pairs | pairs.swapaxes(-1, -2)
+
+
 def _linear(_, inputs: list[Pattern]) -> Pattern:
     """Entry by entry, linear in each operand; also where kinks join linear pieces."""
-    shape = np.broadcast_shapes(*(each.enters.shape for each in inputs))
-    enters, bends = np.zeros(shape, bool), np.zeros(shape, bool)
-    for each in inputs:
-        enters, bends = enters | each.enters, bends | each.bends
-    return Pattern(enters, bends)
+    return Pattern(
+        functools.reduce(np.bitwise_or, [each.enters for each in inputs]),
+        functools.reduce(np.bitwise_or, [each.bends for each in inputs]),
+    )
 
 
 def _bent(equation, inputs: list[Pattern]) -> Pattern:
     """Entry by entry, nonlinear in each operand."""
-    enters = _linear(equation, inputs).enters
-    return Pattern(enters, enters)
+    return Pattern.bent(_linear(equation, inputs).enters)
 
 
 def _product(equation, inputs: list[Pattern]) -> Pattern:
     found = _linear(equation, inputs)
-    both = [each.enters.any(axis=-1, keepdims=True) for each in inputs]
-    return Pattern(found.enters, found.bends | (found.enters & both[0] & both[1]))
+    return found._replace(bends=found.bends | _cross(*(each.enters for each in inputs)))
 
 
 def _quotient(equation, inputs: list[Pattern]) -> Pattern:
     found, below = _linear(equation, inputs), inputs[1].enters
-    bent = found.enters & below.any(axis=-1, keepdims=True)
-    return Pattern(found.enters, found.bends | bent)
+    return found._replace(bends=found.bends | _cross(found.enters, below))
 
 
 def _power(equation, inputs: list[Pattern]) -> Pattern:
@@ -96,8 +114,12 @@ def _moved(equation, inputs: list[Pattern]) -> Pattern | None:
     else:
         sources = move(numbers, equation.outvars[0].aval.shape, equation.params)
     # What comes from beyond the array is a constant.
-    flat = [np.vstack([np.zeros_like(e[:1]), e]) for e in _flat(first)]
-    return Pattern(*(each[np.maximum(sources, 0)] for each in flat))
+    flat = (
+        each.reshape(-1, *each.shape[len(shape) :])
+        for each in (first.enters, first.bends)
+    )
+    padded = [np.concatenate([np.zeros_like(each[:1]), each]) for each in flat]
+    return Pattern(*(each[np.maximum(sources, 0)] for each in padded))
 
 
 def _sliced(numbers: np.ndarray, shape, params: dict) -> np.ndarray:
@@ -111,11 +133,6 @@ def _broadcast(numbers: np.ndarray, shape, params: dict) -> np.ndarray:
     for size, axis in zip(numbers.shape, params["broadcast_dimensions"], strict=True):
         own[axis] = size
     return np.broadcast_to(numbers.reshape(own), shape)
-
-
-def _flat(pattern: Pattern) -> tuple[np.ndarray, np.ndarray]:
-    size = pattern.enters.shape[-1]
-    return pattern.enters.reshape(-1, size), pattern.bends.reshape(-1, size)
 
 
 def _joined(equation, inputs: list[Pattern]) -> Pattern:
@@ -134,28 +151,28 @@ def _summed(equation, inputs: list[Pattern]) -> Pattern:
 
 
 def _contracted(equation, inputs: list[Pattern]) -> Pattern:
-    """Matrix products: how many terms of each sum depend on what."""
+    """Matrix products: which of the sums have a term that depends on what."""
+    left, right = inputs
+    shape, size = equation.outvars[0].aval.shape, left.enters.shape[-1]
+    every = [np.ones(each.enters.shape[:-1], bool) for each in inputs]
 
     def terms(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        if not (one.any() and other.any()):
+            return np.zeros(shape, bool)
         (counts,) = evaluated(equation, [one.astype(float), other.astype(float)])
         return np.asarray(counts > 0)
 
-    left, right = inputs
-    ones = [np.ones(each.enters.shape[:-1]) for each in inputs]
-
-    def spread(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        entries = range(first.shape[-1])
-        return np.stack(
-            [
-                terms(first[..., v], ones[1]) | terms(ones[0], second[..., v])
-                for v in entries
-            ],
-            axis=-1,
-        )
-
-    enters = spread(left.enters, right.enters)
-    both = left.depends and right.depends
-    return Pattern(enters, enters if both else spread(left.bends, right.bends))
+    found = Pattern.constant(shape, size)
+    for v in range(size):
+        found.enters[..., v] = terms(left.enters[..., v], every[1])
+        found.enters[..., v] |= terms(every[0], right.enters[..., v])
+        for w in range(size):
+            bent = terms(left.bends[..., v, w], every[1])
+            bent |= terms(every[0], right.bends[..., v, w])
+            bent |= terms(left.enters[..., v], right.enters[..., w])
+            found.bends[..., v, w] |= bent
+            found.bends[..., w, v] |= bent
+    return found
 
 
 # fmt: off

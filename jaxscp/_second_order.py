@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 
 from ._flow import Flow
-from ._nonlinear import compact_hessian, nonlinear_entries
+from ._nonlinear import Nonlinearity
 from ._peaks import derivatives, inner_peaks
 from ._step import Span, Step
 from ._types import Array, Float, Scalar
@@ -157,12 +157,12 @@ class _StepHessian(eqx.Module):
         def rates(point):
             return self.flow.rates(*self.flow.split(point))
 
-        entries = nonlinear_entries(rates, points.shape[1])
+        bent = Nonlinearity.of(rates, points.shape[1])
 
         def curved(point, kappa):
-            return compact_hessian(lambda at: kappa @ rates(at), point, entries)
+            return bent.hessian(lambda at: kappa @ rates(at), point)
 
-        return _summed(jax.vmap(curved)(points, kappa), tangents[:, entries])
+        return _summed(jax.vmap(curved)(points, kappa), tangents[:, bent.entries])
 
     def _of_peaks(self, points, tangents) -> Float[Array, "v v"]:
         pushes = self.push[self.flow.watch.limits :]
@@ -170,13 +170,13 @@ class _StepHessian(eqx.Module):
         def path(point):
             return self.flow.problem.path(*self.flow.split(point))
 
-        entries = nonlinear_entries(path, points.shape[1])
+        bent = Nonlinearity.of(path, points.shape[1])
 
         def curved(point, entry, push):
-            return compact_hessian(lambda at: push * path(at)[entry], point, entries)
+            return bent.hessian(lambda at: push * path(at)[entry], point)
 
         hessians = jax.vmap(curved)(points, jnp.arange(pushes.size), pushes)
-        return _summed(hessians, tangents[:, entries])
+        return _summed(hessians, tangents[:, bent.entries])
 
     def _of_moments(self, span, step, shares, tilts) -> Float[Array, "v v"]:
         slope, bend = derivatives(
