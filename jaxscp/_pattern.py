@@ -154,25 +154,39 @@ def _contracted(equation, inputs: list[Pattern]) -> Pattern:
     """Matrix products: which of the sums have a term that depends on what."""
     left, right = inputs
     shape, size = equation.outvars[0].aval.shape, left.enters.shape[-1]
-    every = [np.ones(each.enters.shape[:-1], bool) for each in inputs]
+    axes = _product_axes(equation.params["dimension_numbers"], left, right)
 
     def terms(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        if not (one.any() and other.any()):
-            return np.zeros(shape, bool)
-        (counts,) = evaluated(equation, [one.astype(float), other.astype(float)])
-        return np.asarray(counts > 0)
+        """By what their last axes tell apart."""
+        one, other = one.astype(float), other.astype(float)
+        return np.einsum(one, axes[0], other, axes[1], axes[2], optimize=True) > 0.5
 
-    found = Pattern.constant(shape, size)
-    for v in range(size):
-        found.enters[..., v] = terms(left.enters[..., v], every[1])
-        found.enters[..., v] |= terms(every[0], right.enters[..., v])
-        for w in range(size):
-            bent = terms(left.bends[..., v, w], every[1])
-            bent |= terms(every[0], right.bends[..., v, w])
-            bent |= terms(left.enters[..., v], right.enters[..., w])
-            found.bends[..., v, w] |= bent
-            found.bends[..., w, v] |= bent
-    return found
+    every = [np.ones((*each.enters.shape[:-1], 1), bool) for each in inputs]
+    enters = (
+        terms(left.enters, every[1])[..., 0] | terms(every[0], right.enters)[..., 0, :]
+    )
+    flat = [each.bends.reshape(*each.enters.shape[:-1], -1) for each in inputs]
+    bends = terms(flat[0], every[1])[..., 0] | terms(every[0], flat[1])[..., 0, :]
+    both = terms(left.enters, right.enters)
+    bends = bends.reshape(*shape, size, size) | both | both.swapaxes(-1, -2)
+    return Pattern(enters, bends)
+
+
+def _product_axes(numbers, left: Pattern, right: Pattern) -> tuple[list[int], ...]:
+    """For `numpy.einsum`: axes of both operands of `jax.lax.dot_general` and of what it
+    gives, and one more of each operand, last.
+    """
+    contracted, batched = numbers
+    count = left.enters.ndim - 1
+    first, second = list(range(count)), list(range(count, count + right.enters.ndim - 1))
+    for own, others in (contracted, batched):
+        for i, j in zip(own, others, strict=True):
+            second[j] = first[i]
+    shared = {first[i] for i in (*contracted[0], *batched[0])}
+    free = [axis for axis in (*first, *second) if axis not in shared]
+    last = [count + len(second), count + len(second) + 1]
+    given = [first[i] for i in batched[0]] + free + last
+    return [*first, last[0]], [*second, last[1]], given
 
 
 # fmt: off
