@@ -71,8 +71,8 @@ def nodal_curvature(
         *node_shares(transcription),
         weights,
     )
-    terminal = jax.hessian(problem.terminal_cost, argnums=1)(
-        final_time, variables.states[-1]
+    terminal = hessian(
+        lambda x: problem.terminal_cost(final_time, x), variables.states[-1]
     )
     blocks = blocks.at[-1, :size, :size].add(terminal)
     borrows = transcription.borrows_control

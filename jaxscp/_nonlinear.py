@@ -72,12 +72,8 @@ def hessian(
 ) -> Float[Array, "v v"]:
     """As `jax.hessian`, from fewer tangents."""
     bent = Nonlinearity.of(function, point.size)
-    nothing = jnp.zeros((point.size, point.size))
-    if not bent.entries.size:
-        return nothing
-    return nothing.at[np.ix_(bent.entries, bent.entries)].set(
-        bent.hessian(function, point)
-    )
+    nothing, places = jnp.zeros((point.size,) * 2), np.ix_(bent.entries, bent.entries)
+    return nothing.at[places].set(bent.hessian(function, point))
 
 
 def _seeds(groups: np.ndarray) -> np.ndarray:
