@@ -2,9 +2,9 @@
 
 With the active ones as equalities a subproblem is a linear system (`_active_system`).
 Whether the guess was right shows in the solution: multipliers keep their signs and no
-other constraint is broken. Where it was wrong it is mended and tried again: the
-primal-dual active set method. Hintermueller, Ito, Kunisch, SIAM Journal on Optimization
-13 (2002).
+other constraint is broken. Where it was wrong it is mended (`_pivoting`) and tried again:
+the primal-dual active set method. Hintermueller, Ito, Kunisch, SIAM Journal on
+Optimization 13 (2002).
 """
 
 import functools
@@ -16,7 +16,9 @@ import jax.numpy as jnp
 from ._active_system import ActiveSystem
 from ._damping import Damping
 from ._model import Model
+from ._peaks import Watch
 from ._per_limit import PerLimit
+from ._pivoting import pivoted
 from ._subproblem import SubproblemSolution
 from ._subproblem_data import Limits
 from ._transcription import Residuals, Variables
@@ -25,7 +27,7 @@ from ._types import Array, Scalar
 
 # Active sets tried in all, and with one weight of the metric.
 _ATTEMPTS = 24
-_TRIES = 6
+_TRIES = 10
 # The next weight where one was too light, and how close to such a one the best may be, if
 # its step is not long enough: the share of the length allowed that is.
 _HEAVIER = 4.0
@@ -87,6 +89,7 @@ def active_set_step(
     model: Model,
     metric: Damping,
     limits: Limits,
+    watch: Watch,
     start: NewtonStep,
     precision: Scalar,
     *,
@@ -98,7 +101,7 @@ def active_set_step(
 
     **Arguments:**
 
-    - `metric`: of the trust region.
+    - `metric`: of the trust region. `watch`: what is enforced between the nodes.
     - `start`: a step near the one sought, with its multipliers, and the weight of the
         metric: heavier ones are tried where the model is not convex along the active
         constraints, or where the step is longer than `longest`.
@@ -126,9 +129,11 @@ def active_set_step(
         length = metric.length(solution.step)
         light = ~convex | (length > _OVERLONG * longest)
         after = model.linear(solution.step)
-        sides = active_sides(after, limits, solution, solution.step, precision)
-        same = jax.tree.map(lambda a, b: jnp.all(a == b), sides, at.sides)
+        wanted = active_sides(after, limits, solution, solution.step, precision)
+        same = jax.tree.map(lambda a, b: jnp.all(a == b), wanted, at.sides)
         same = jnp.all(jnp.stack(jax.tree.leaves(same)))
+        wrongs = _wrongs(at.sides, wanted, after, limits, solution)
+        sides = pivoted(at.sides, wanted, wrongs, watch)
         right = ~light & (found.gap <= jnp.maximum(precision, slack)) & same
         solution = eqx.tree_at(lambda s: s.effort.solved, solution, right)
         this = NewtonStep(solution, at.weight, length)
@@ -177,6 +182,27 @@ def _side(
     # Between limits that coincide, but for rounding, it rests on both.
     fixed = below + above <= precision
     return jnp.where(upper | fixed, 1.0, jnp.where(lower, -1.0, 0.0))
+
+
+def _wrongs(
+    sides: PerLimit,
+    wanted: PerLimit,
+    after: Residuals,
+    limits: Limits,
+    solution: SubproblemSolution,
+) -> PerLimit:
+    """How far each constraint is in the wrong after a step: what is violated and ought to
+    be active, less what is active and pushes the wrong way.
+    """
+
+    def wrong(side, wanted, multiplier, below, above):
+        broken = jnp.where(wanted > 0.0, -above, -below)
+        changed = jnp.where(wanted == 0.0, -jnp.abs(multiplier), broken)
+        return jnp.where(side == wanted, 0.0, changed)
+
+    multipliers = PerLimit.multipliers(solution)
+    ways = rooms(after, limits, solution.step)
+    return jax.tree.map(wrong, sides, wanted, multipliers, *ways)
 
 
 def rooms(after: Residuals, limits: Limits, step: Variables) -> tuple[PerLimit, PerLimit]:

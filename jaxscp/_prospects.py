@@ -10,6 +10,9 @@ from ._transcription import Transcription
 from ._tree import tree_where
 from ._types import Array
 
+# How many times the reduction worth a step is still little.
+_LITTLE = 100.0
+
 
 class Prospects(eqx.Module):
     """What a step just tried tells of those to come.
@@ -32,6 +35,7 @@ def prospects(
     *,
     may_polish: Array,
     close: float,
+    poor_ratio: float,
     min_reduction: float,
     min_progress: float,
     feasibility_tolerance: float,
@@ -57,8 +61,11 @@ def prospects(
     hopeful = (state.near | (~infeasible & close_by)) & may_polish
     stationary &= ~hopeful & ~newton.found & trial.solution.effort.solved
     cheap = stationary & bought & (state.ceiling < max_ceiling)
+    # Of steps that promise little the penalized cost sees the side effects first.
+    blind = newton.found & (judgement.ratio < poor_ratio)
+    blind &= promised <= _LITTLE * min_reduction
     return Prospects(
         stationary & (~infeasible | bought) & ~cheap,
         cheap,
-        state.near | (hopeful & unpromising),
+        state.near | (hopeful & (unpromising | blind)),
     )

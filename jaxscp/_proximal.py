@@ -117,7 +117,7 @@ class ProximalSCP(AbstractSCP):
             optimality=jnp.where(begun, gap.residual, jnp.inf),
         )
         near = begun & self._is_near(after, gap)
-        blind = blind_reach(transcription, state, after)
+        blind = blind_reach(transcription, state, after, self.tolerance)
         reach = tree_where(near, blind, state.reach)
         after = dataclasses.replace(after, near=near, reach=reach)
         return jax.lax.cond(
@@ -208,6 +208,7 @@ class ProximalSCP(AbstractSCP):
                     exact,
                     measure,
                     limits,
+                    transcription.watch,
                     start,
                     jnp.maximum(1e-3 * state.optimality, 1e-11),
                     longest=jnp.minimum(state.reach.length, self.longest),
@@ -273,6 +274,7 @@ class ProximalSCP(AbstractSCP):
             judgement,
             may_polish=self._may_polish(state),
             close=self.close,
+            poor_ratio=self.poor_ratio,
             min_reduction=self.min_reduction,
             min_progress=self.min_progress,
             feasibility_tolerance=self.feasibility_tolerance,

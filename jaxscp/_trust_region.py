@@ -100,17 +100,20 @@ def next_reach(
     return Reach(length, newton.weight / factor**2)
 
 
-def blind_reach(transcription: Transcription, before: SCPState, after: SCPState) -> Reach:
+def blind_reach(
+    transcription: Transcription, before: SCPState, after: SCPState, tolerance: float
+) -> Reach:
     """How far Newton's steps may go where no penalized cost is asked.
 
     Their weight is that of Levenberg and Marquardt, which vanishes with the residual. It
     is light, for long steps along directions that the cost hardly sees, as of a
     quadrotor's yaw, where the residual fell; where such a step has raised it, heavy, to
-    take the side effects back first.
+    take the side effects back first, and where it is all but within the tolerance, to
+    get there without any.
     """
     residual, earlier = after.optimality, before.optimality
-    settled = residual <= earlier
-    factor = jnp.where(settled, 1e-4, 0.3)
+    closing = (residual <= 10.0 * tolerance) & (residual <= 0.3 * earlier)
+    factor = jnp.where((residual <= earlier) & ~closing, 1e-4, 0.3)
     # A step squares the residual: what is above its root takes several to take back.
     worse = residual > jnp.maximum(3.0 * earlier, 0.3 * jnp.sqrt(earlier))
     worse &= before.near & ~before.iterate.fresh

@@ -34,6 +34,7 @@ from jaxscp._active_set import NewtonStep, active_set_step
 from jaxscp._damping import Damping
 from jaxscp._layout import Structure
 from jaxscp._model import Model
+from jaxscp._peaks import Watch
 from jaxscp._problem import Integral
 from jaxscp._qp import PIQP
 from jaxscp._subproblem import SubproblemSolution
@@ -49,6 +50,7 @@ def compiled_step(model, metric, limits, last, weight, longest, heaviest):
         model,
         metric,
         limits,
+        Watch.of(hurried()),
         NewtonStep.begun(last, weight),
         jnp.asarray(PRECISION),
         longest=longest,

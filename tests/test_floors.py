@@ -42,7 +42,7 @@ FLOORS = (
     {"_subproblem_solver"},
     {"_subproblem"},
     {"_per_limit"},
-    {"_refinement"},
+    {"_pivoting", "_refinement"},
     {"_active_system", "_state"},
     {"_active_set"},
     {"_iteration", "_kkt", "_optimality", "_scp"},
