@@ -129,7 +129,9 @@ def active_set_step(
         length = metric.length(solution.step)
         light = ~convex | (length > _OVERLONG * longest)
         after = model.linear(solution.step)
-        wanted = active_sides(after, limits, solution, solution.step, precision)
+        wanted = active_sides(
+            after, limits, solution, solution.step, precision, held=at.sides
+        )
         same = jax.tree.map(lambda a, b: jnp.all(a == b), wanted, at.sides)
         same = jnp.all(jnp.stack(jax.tree.leaves(same)))
         wrongs = _wrongs(at.sides, wanted, after, limits, solution)
@@ -166,19 +168,29 @@ def active_sides(
     solution: SubproblemSolution,
     step: Variables,
     precision: Scalar | float,
+    held: PerLimit | None = None,
 ) -> PerLimit:
-    """Where each constraint rests after a step, as its multipliers tell."""
+    """Where each constraint rests after a step, as its multipliers tell.
+
+    **Arguments:**
+
+    - `held`: where each was made to rest. What is not worth a change stays there: along
+        directions that the cost hardly sees, a limit whose multiplier is next to nothing
+        may be missed by far without it.
+    """
     multipliers = PerLimit.multipliers(solution)
+    if held is None:
+        held = jax.tree.map(jnp.zeros_like, multipliers)
     side = functools.partial(_side, precision=precision)
-    return jax.tree.map(side, multipliers, *rooms(after, limits, step))
+    return jax.tree.map(side, multipliers, *rooms(after, limits, step), held)
 
 
 def _side(
-    multiplier: Array, below: Array, above: Array, precision: Scalar | float
+    multiplier: Array, below: Array, above: Array, held: Array, precision: Scalar | float
 ) -> Array:
     """The limit a constraint rests on: 1 the upper, -1 the lower, 0 neither."""
-    upper = multiplier - above > precision
-    lower = -multiplier - below > precision
+    upper = multiplier - above > jnp.where(held > 0.0, -precision, precision)
+    lower = -multiplier - below > jnp.where(held < 0.0, -precision, precision)
     # Between limits that coincide, but for rounding, it rests on both.
     fixed = below + above <= precision
     return jnp.where(upper | fixed, 1.0, jnp.where(lower, -1.0, 0.0))
