@@ -107,8 +107,9 @@ def active_set_step(
         constraints, or where the step is longer than `longest`.
     - `precision`: violations and multipliers of the wrong sign that do not matter: which
         of several limits that say nearly the same are active is then left open.
-    - `heaviest`: weight that is worth trying where the active constraints are not found:
-        for short enough steps they are those of the one before.
+    - `heaviest`: weight that is worth trying where the model is not convex along the
+        active constraints, or where these are not found: for short enough steps they are
+        those of the one before.
     - `slack`: gap that may remain: limits that say nearly the same, as those at and next
         to a node, contradict each other a little.
     """
@@ -140,8 +141,8 @@ def active_set_step(
         solution = eqx.tree_at(lambda s: s.effort.solved, solution, right)
         this = NewtonStep(solution, at.weight, length)
         lost = ~light & ~right & (at.tries + 1 >= _TRIES)
-        insist = lost & (_HEAVIER * at.weight <= heaviest)
-        light |= insist
+        vain = (lost | (~convex & ~at.best.found)) & (_HEAVIER * at.weight > heaviest)
+        light |= lost & ~vain
         best = tree_where(right, this, at.best)
         too_light = jnp.where(light, at.weight, at.too_light)
         between = jnp.sqrt(too_light * best.weight)
@@ -152,7 +153,7 @@ def active_set_step(
             jnp.where(another, weight, at.weight),
             too_light,
             best,
-            jnp.where(lost & ~insist, _ATTEMPTS, at.count + 1),
+            jnp.where(vain, _ATTEMPTS, at.count + 1),
             jnp.where(another, 0, at.tries + 1),
         )
 

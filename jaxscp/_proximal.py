@@ -283,10 +283,8 @@ class ProximalSCP(AbstractSCP):
         ceiling = jnp.where(ahead.cheap, 10.0 * state.ceiling, state.ceiling)
         poor, good = self.poor_ratio, self.good_ratio
         ratios = {"poor_ratio": poor, "good_ratio": good, "factor": self.weight_factor}
-        radius = next_radius(state, judgement, **ratios)
-        radius = jnp.where(newton.found, state.radius, radius)
+        radius = next_radius(state, judgement, newton, longest=self.longest, **ratios)
         reach = next_reach(state, judgement, newton, **ratios)
-        reach = tree_where(newton.found, reach, state.reach)
         return advance(
             transcription,
             state,

@@ -17,7 +17,11 @@ from ._curvature import Curvature, magnitude
 from ._damping import Damping
 from ._state import Judgement, Reach, SCPState
 from ._transcription import Transcription, Variables
+from ._tree import tree_where
 from ._types import Array, Scalar
+
+# A step this short, as a share of the length allowed, was not held back by that.
+_SHORT = 0.5
 
 
 def metric(
@@ -58,12 +62,19 @@ def metric(
 def next_radius(
     state: SCPState,
     judgement: Judgement,
+    newton: NewtonStep,
     *,
+    longest: float,
     poor_ratio: float,
     good_ratio: float,
     factor: float,
 ) -> Scalar:
-    """The inverse of the next subproblem's weight."""
+    """The inverse of the next subproblem's weight.
+
+    Newton's steps leave it as it is, but for those far shorter than they might be, with a
+    weight that makes all of the curvature convex: a subproblem's may go farther then, and
+    as long as such steps prove good it is given the chance.
+    """
     ratio = judgement.ratio
     change = jnp.where(ratio < poor_ratio, 1.0 / factor, 1.0)
     change = jnp.where(ratio > good_ratio, factor, change)
@@ -74,7 +85,11 @@ def next_radius(
     change = jnp.where(refused, jnp.minimum(change, 1.0), change)
     # Where no penalized cost is asked, only what leads astray is refused.
     blind = jnp.where(judgement.accepted, factor, 1.0 / factor**2)
-    return jnp.where(state.near, blind, change) * state.radius
+    change = jnp.where(state.near, blind, change)
+    allowed = jnp.minimum(state.reach.length, longest)
+    held = (newton.weight > state.reach.weight) & (newton.length < _SHORT * allowed)
+    kept = newton.found & (state.near | ~held)
+    return jnp.where(kept, 1.0, change) * state.radius
 
 
 def next_reach(
@@ -86,9 +101,10 @@ def next_reach(
     good_ratio: float,
     factor: float,
 ) -> Reach:
-    """How far Newton's next step may go, after one of these.
+    """How far Newton's next step may go.
 
-    Its length tells; the weight is only as heavy as that asks.
+    The length of the one before tells, if there was one; the weight is only as heavy as
+    that asks.
     """
     ratio, near, length = judgement.ratio, state.near, newton.length
     change = jnp.where(ratio > good_ratio, 2.0, 1.0)
@@ -97,7 +113,8 @@ def next_reach(
     longer = jnp.maximum(jnp.where(jnp.isinf(before), 0.0, before), change * length)
     good = judgement.accepted & ((ratio >= poor_ratio) | near)
     length = jnp.where(good, longer, length / factor)
-    return Reach(length, newton.weight / factor**2)
+    after = Reach(length, newton.weight / factor**2)
+    return tree_where(newton.found, after, state.reach)
 
 
 def blind_reach(
