@@ -30,7 +30,7 @@ from past_a_disc import (
 )
 
 from jaxscp import Bounds, OptimalControlProblem
-from jaxscp._active_set import NewtonStep, active_set_step
+from jaxscp._active_set import NewtonStep, active_set_step, active_sides
 from jaxscp._damping import Damping
 from jaxscp._layout import Structure
 from jaxscp._model import Model
@@ -294,8 +294,9 @@ def test_it_takes_no_qp():
     assert not bool(effort.relaxed)
 
 
+@pytest.mark.parametrize("heaviest", [0.0, 100.0])
 @every_case
-def test_a_wrong_guess_is_mended_or_refused(case):
+def test_a_wrong_guess_is_mended_or_refused(case, heaviest):
     """Never taken for a solution; a gap may remain of multipliers that are far off."""
     name, case, mended = case, case_of(case), 0
     for seed in range(20):
@@ -303,15 +304,17 @@ def test_a_wrong_guess_is_mended_or_refused(case):
         size = 10.0 ** draw.uniform(-2.0, 1.5)
         wrong = drawn(functools.partial(draw.normal, 0.0, size), case.solution)
         wrong = dataclasses.replace(wrong, effort=case.solution.effort)
-        found = newton_step(case.model, case.damping, case.limits, wrong)
+        parts = (case.model, case.damping, case.limits, wrong)
+        found = newton_step(*parts, heaviest=heaviest)
         if bool(found.found):
             right, weight = case.solution, found.weight
-            # Where a wrong guess looked like a saddle the weight is another one.
+            # Where a wrong guess looked like a saddle the weight may be another one.
             if float(weight) != 1.0:
+                assert float(weight) <= heaviest
                 right = case_of(name, functools.partial(heavier, weight)).solution
             check_same(found.solution, right, atol=1e-6)
             mended += 1
-    assert mended < 20
+    assert mended < 20 or heaviest
 
 
 def bent(case: Case, node: int, entry: int, by: float) -> Model:
@@ -334,12 +337,39 @@ def test_convexity_is_needed_along_active_constraints_only():
     check_same(found, dataclasses.replace(case.solution, step=still))
     loose = bent(near, free, 2, -10.0)
     parts = (loose, near.damping, near.limits, case.solution)
-    found = newton_step(*parts)
+    found = newton_step(*parts, heaviest=np.inf)
     assert bool(found.found)
     # It takes a narrower trust region, no narrower than it must be.
     assert float(found.weight) > 1.0
     light = float(found.weight) / 4.0
-    assert float(newton_step(*parts, weight=light).weight) > light
+    assert float(newton_step(*parts, weight=light, heaviest=np.inf).weight) > light
+    # ... nor than it may be.
+    assert not bool(newton_step(*parts, heaviest=0.5 * float(found.weight)).found)
+
+
+@pytest.mark.parametrize(
+    ("multiplier", "stays", "becomes"),
+    [
+        (2e-3, True, True),
+        (5e-4, True, False),
+        (-5e-4, True, False),
+        (-2e-3, False, False),
+    ],
+)
+def test_what_is_active_stays_unless_it_is_wrong(multiplier, stays, becomes):
+    """A multiplier within the precision is no reason to change anything."""
+    case, precision = case_of("push"), 1e-3
+    step = case.solution.step
+    after = case.model.linear(step)
+    settled = active_sides(after, case.limits, case.solution, step, precision)
+    node = np.flatnonzero(np.ravel(settled.variables.controls) > 0.0)[0]
+    told = eqx.tree_at(
+        lambda s: s.control, case.solution, case.solution.control.at[node].set(multiplier)
+    )
+    at = (after, case.limits, told, step, precision)
+    there = [active_sides(*at, held=settled), active_sides(*at)]
+    sides = [float(each.variables.controls[node, 0]) for each in there]
+    assert sides == [float(stays), float(becomes)]
 
 
 @pytest.mark.parametrize("share", [0.5, 0.1])
