@@ -23,7 +23,7 @@ from ._subproblem_data import Limits, Prices
 from ._transcription import Residuals, Transcription, Variables
 from ._tree import tree_where
 from ._trust_region import blind_reach, metric, next_radius, next_reach
-from ._types import Array
+from ._types import Array, Scalar
 
 
 class ProximalSCP(AbstractSCP):
@@ -156,6 +156,10 @@ class ProximalSCP(AbstractSCP):
         ready = self._is_sound(state) & self._may_polish(state)
         return ready & (state.near | state.own) & (state.optimality < self.close)
 
+    def _longest(self, state: SCPState) -> Scalar:
+        """How long Newton's next step may be."""
+        return jnp.minimum(state.reach.length, self.longest)
+
     def _iterate(self, transcription: Transcription, state: SCPState) -> SCPState:
         sound = self._is_sound(state)
         iterate, multipliers = state.iterate, state.solution.multipliers
@@ -211,7 +215,7 @@ class ProximalSCP(AbstractSCP):
                     transcription.watch,
                     start,
                     jnp.maximum(1e-3 * state.optimality, 1e-11),
-                    longest=jnp.minimum(state.reach.length, self.longest),
+                    longest=self._longest(state),
                     # A convex subproblem's step is better than a short one.
                     heaviest=jnp.where(state.near, jnp.inf, weight),
                     slack=self.tolerance,
@@ -283,7 +287,8 @@ class ProximalSCP(AbstractSCP):
         ceiling = jnp.where(ahead.cheap, 10.0 * state.ceiling, state.ceiling)
         poor, good = self.poor_ratio, self.good_ratio
         ratios = {"poor_ratio": poor, "good_ratio": good, "factor": self.weight_factor}
-        radius = next_radius(state, judgement, newton, longest=self.longest, **ratios)
+        longest = self._longest(state)
+        radius = next_radius(state, judgement, newton, longest=longest, **ratios)
         reach = next_reach(state, judgement, newton, **ratios)
         return advance(
             transcription,

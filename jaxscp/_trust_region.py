@@ -64,7 +64,7 @@ def next_radius(
     judgement: Judgement,
     newton: NewtonStep,
     *,
-    longest: float,
+    longest: Scalar,
     poor_ratio: float,
     good_ratio: float,
     factor: float,
@@ -74,6 +74,10 @@ def next_radius(
     Newton's steps leave it as it is, but for those far shorter than they might be, with a
     weight that makes all of the curvature convex: a subproblem's may go farther then, and
     as long as such steps prove good it is given the chance.
+
+    **Arguments:**
+
+    - `longest`: how long Newton's step might have been.
     """
     ratio = judgement.ratio
     change = jnp.where(ratio < poor_ratio, 1.0 / factor, 1.0)
@@ -86,8 +90,7 @@ def next_radius(
     # Where no penalized cost is asked, only what leads astray is refused.
     blind = jnp.where(judgement.accepted, factor, 1.0 / factor**2)
     change = jnp.where(state.near, blind, change)
-    allowed = jnp.minimum(state.reach.length, longest)
-    held = (newton.weight > state.reach.weight) & (newton.length < _SHORT * allowed)
+    held = (newton.weight > state.reach.weight) & (newton.length < _SHORT * longest)
     kept = newton.found & (state.near | ~held)
     return jnp.where(kept, 1.0, change) * state.radius
 

@@ -314,7 +314,7 @@ def test_a_wrong_guess_is_mended_or_refused(case, heaviest):
                 right = case_of(name, functools.partial(heavier, weight)).solution
             check_same(found.solution, right, atol=1e-6)
             mended += 1
-    assert mended < 20 or heaviest
+    assert mended < 20
 
 
 def bent(case: Case, node: int, entry: int, by: float) -> Model:
