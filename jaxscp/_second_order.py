@@ -19,6 +19,7 @@ import jax.numpy as jnp
 from ._flow import Flow
 from ._nonlinear import Nonlinearity
 from ._peaks import derivatives, inner_peaks
+from ._sines import sines_once
 from ._step import Span, Step
 from ._types import Array, Float, Scalar
 
@@ -160,7 +161,7 @@ class _StepHessian(eqx.Module):
         bent = Nonlinearity.of(rates, points.shape[1])
 
         def curved(point, kappa):
-            return bent.hessian(lambda at: kappa @ rates(at), point)
+            return bent.hessian(lambda at: kappa @ sines_once(rates)(at), point)
 
         return _summed(jax.vmap(curved)(points, kappa), tangents[:, bent.entries])
 

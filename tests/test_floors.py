@@ -20,7 +20,7 @@ FLOORS = (
         "plot._contours",
         "plot._style",
     },
-    {"_host", "_loop", "_nonlinear", "_tree"},
+    {"_host", "_loop", "_nonlinear", "_sines", "_tree"},
     {"_compiler", "_status", "_bounds", "_hold", "_progress", "_qp", "_packed"},
     {"_direction"},
     {"models._parameters", "models._smooth"},
