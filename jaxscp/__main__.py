@@ -1,6 +1,7 @@
 """`jaxscp` and `python -m jaxscp`: list, solve, sweep, verify and audit missions,
 and reproduce the paper."""
 
+import gc
 import sys
 from collections.abc import Sequence
 from concurrent.futures import BrokenExecutor
@@ -25,6 +26,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return stop.code if isinstance(stop.code, int) else BAD_INPUT
     jax.config.update("jax_enable_x64", True)
     keep_programs()
+    # Tracing makes millions of objects that live as long as their program: looking for
+    # garbage among them, as often as Python does by itself, is a tenth of a first solve.
+    gc.set_threshold(100_000, 50, 100)
     try:
         return getattr(_commands, arguments.command)(arguments)
     except (InputError, OSError) as error:
