@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from ._types import Array, PyTree
 
 # Entries whose tangents fit into a processor's cache together.
-_TOGETHER = 100
+_TOGETHER = 200
 
 # Repetitions that are skipped together once enough are done.
 _BLOCK = 16

@@ -1,8 +1,8 @@
 """Sines and cosines that XLA evaluates once.
 
-On the CPU it counts them as cheap and writes them into every kernel that reads them: with
-its tangents, a Runge-Kutta step of a quadrotor evaluates 180 of them instead of 24. It
-never evaluates a quotient twice. So each is divided by a one that it does not see through.
+On the CPU it counts them as cheap and writes them into every kernel that reads them: a
+Runge-Kutta step of a quadrotor with its tangents evaluates 180 of them instead of 24. It
+never evaluates a quotient twice. So each is divided by a one that it cannot see through.
 """
 
 from collections.abc import Callable

@@ -7,8 +7,8 @@ from pathlib import Path
 
 # What runs a few times takes longer to optimize than to run, and splitting a program to
 # compile its parts side by side costs a seventh more where both cores are busy anyway.
-# The rest is as solves compile by themselves (`_compiler`): inside a transformation, where
-# they cannot, their numbers are the same then. Read when JAX starts.
+# The rest is as solves compile by themselves (`_compiler`): inside a transformation,
+# where they cannot, their numbers are the same then. Read when JAX starts.
 os.environ.setdefault(
     "XLA_FLAGS",
     "--xla_backend_optimization_level=0 --xla_cpu_parallel_codegen_split_count=1 "
