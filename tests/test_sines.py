@@ -18,6 +18,14 @@ def inner(x):
     return jnp.sin(x) * x
 
 
+@jax.custom_vjp
+def softly(x):
+    return jnp.tanh(x)
+
+
+softly.defvjp(lambda x: (softly(x), softly(x)), lambda y, slope: (slope * (1.0 - y**2),))
+
+
 def mixed(x, y):
     """Sines in a program, in a call, a loop and a branch, beside custom derivatives."""
     looped = jax.lax.scan(lambda at, _: (jnp.sin(at), at), x, None, length=3)[0]
@@ -58,6 +66,23 @@ def test_nothing_else_changes(seen, numbers):
         seen(sines_once(mixed))(x, y),
         seen(mixed)(x, y),
     )
+
+
+@given(numbers=st.lists(st.floats(-5.0, 5.0), min_size=2, max_size=2))
+def test_programs_within_run_as_they_are(numbers):
+    def function(x):
+        kept = jax.checkpoint(lambda at: jnp.cos(at) ** 2)(x)
+        like = jax.ShapeDtypeStruct((), float)
+        told = jax.pure_callback(lambda at: 2.0 * at, like, jnp.asarray(3.0))
+        return softly(x) + jnp.sin(kept), told
+
+    x = jnp.asarray(numbers)
+    jax.tree.map(np.testing.assert_array_equal, sines_once(function)(x), function(x))
+    slopes = [
+        jax.jacrev(lambda x, each=each: each(x)[0])(x)
+        for each in (sines_once(function), function)
+    ]
+    np.testing.assert_allclose(*slopes, rtol=1e-14, atol=1e-14)
 
 
 def test_what_is_not_finite_stays_so():
