@@ -13,9 +13,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend import core
 
 from ._pattern import RULES, Pattern, evaluated, values
+from ._program import interpreted
 from ._types import Array, Float, Scalar
 
 
@@ -105,19 +105,13 @@ def _groups(pairs: np.ndarray) -> np.ndarray:
 
 def _run(jaxpr, constants, arguments: list[Pattern], size: int) -> list[Pattern]:
     """Patterns of a program's results."""
-    known = dict(zip(jaxpr.invars, arguments, strict=True))
-    fixed = [Pattern.of_value(value, size) for value in constants]
-    known |= dict(zip(jaxpr.constvars, fixed, strict=True))
-
-    def read(atom) -> Pattern:
-        if isinstance(atom, core.Literal):
-            return Pattern.of_value(atom.val, size)
-        return known[atom]
-
-    for equation in jaxpr.eqns:
-        found = _of_equation(equation, [read(atom) for atom in equation.invars], size)
-        known |= dict(zip(equation.outvars, found, strict=True))
-    return [read(atom) for atom in jaxpr.outvars]
+    return interpreted(
+        jaxpr,
+        constants,
+        arguments,
+        of_value=lambda value: Pattern.of_value(value, size),
+        of_equation=lambda equation, inputs: _of_equation(equation, inputs, size),
+    )
 
 
 def _of_equation(equation, inputs: list[Pattern], size: int) -> list[Pattern]:

@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ._program import applied
+
 
 class Pattern(NamedTuple):
     """Of the entries of one array, by the entries `v` of the argument.
@@ -57,9 +59,8 @@ def values(patterns: list[Pattern]) -> list[np.ndarray] | None:
 def evaluated(equation, known: list[np.ndarray]) -> list[np.ndarray]:
     """The results of an operation whose operands are known."""
     with jax.ensure_compile_time_eval():
-        found = equation.primitive.bind(*map(jnp.asarray, known), **equation.params)
-        several = equation.primitive.multiple_results
-        return [np.asarray(each) for each in (found if several else [found])]
+        found = applied(equation, [jnp.asarray(each) for each in known])
+        return [np.asarray(each) for each in found]
 
 
 def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:

@@ -5,12 +5,13 @@ Runge-Kutta step of a quadrotor with its tangents evaluates 180 of them instead 
 never evaluates a quotient twice. So each is divided by a one that it cannot see through.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
 from jax.extend import core
 
+from ._program import applied, interpreted
 from ._types import Array, PyTree
 
 
@@ -46,35 +47,21 @@ def sines_once(function: Callable[..., PyTree]) -> Callable[..., PyTree]:
     return call
 
 
-def _run(program, constants: list, arguments: list) -> list:
-    known = dict(zip(program.constvars, constants, strict=True))
-    known |= dict(zip(program.invars, arguments, strict=True))
-
-    def read(atom):
-        return atom.val if isinstance(atom, core.Literal) else known[atom]
-
-    for equation in program.eqns:
-        found = _of_equation(equation, list(map(read, equation.invars)))
-        known |= dict(zip(equation.outvars, found, strict=True))
-    return list(map(read, program.outvars))
+def _run(program: core.Jaxpr, constants: Sequence, arguments: Sequence) -> list:
+    return interpreted(
+        program,
+        constants,
+        arguments,
+        of_value=lambda value: value,
+        of_equation=_of_equation,
+    )
 
 
-def _of_equation(equation, operands: list) -> list:
-    primitive, params = equation.primitive, equation.params
-    if primitive.name in ("jit", "pjit"):
-        return _run(params["jaxpr"].jaxpr, params["jaxpr"].consts, operands)
-    if primitive.name in _ONCE and jnp.issubdtype(operands[0].dtype, jnp.floating):
-        return [_ONCE[primitive.name](*operands)]
-    if any(isinstance(value, core.Jaxpr | core.ClosedJaxpr) for value in params.values()):
-        return _alone(equation, operands)
-    found = primitive.bind(*operands, **params)
-    return found if primitive.multiple_results else [found]
-
-
-def _alone(equation, operands: list) -> list:
-    """What a program of this equation alone gives: JAX knows how to run those in it."""
-    pairs = zip(equation.invars, operands, strict=True)
-    known = {atom: each for atom, each in pairs if not isinstance(atom, core.Literal)}
-    told = core.DebugInfo("sines_once", equation.primitive.name, None, None)
-    program = core.Jaxpr((), list(known), equation.outvars, [equation], debug_info=told)
-    return core.jaxpr_as_fun(core.ClosedJaxpr(program, ()))(*known.values())
+def _of_equation(equation: core.JaxprEqn, operands: list) -> list:
+    name = equation.primitive.name
+    if name in ("jit", "pjit"):
+        inner = equation.params["jaxpr"]
+        return _run(inner.jaxpr, inner.consts, operands)
+    if name in _ONCE and jnp.issubdtype(operands[0].dtype, jnp.floating):
+        return [_ONCE[name](*operands)]
+    return applied(equation, operands)

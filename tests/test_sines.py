@@ -35,13 +35,9 @@ def mixed(x, y):
     return {"all": smooth + inner(x) * chosen, "more": (kinked, jnp.arange(2))}
 
 
-def second(function):
-    def of(x, y):
-        return jax.jacfwd(jax.jacrev(lambda x, y: function(x, y)["all"], (0, 1)), (0, 1))(
-            x, y
-        )
-
-    return of
+def first(function):
+    """One of its results, as a function of both arguments."""
+    return lambda x, y: function(x, y)["all"]
 
 
 @pytest.mark.parametrize(
@@ -50,9 +46,9 @@ def second(function):
         lambda function: function,
         jax.jit,
         jax.vmap,
-        lambda function: jax.jacfwd(lambda *at: function(*at)["all"], (0, 1)),
-        lambda function: jax.jacrev(lambda *at: function(*at)["all"], (0, 1)),
-        second,
+        lambda function: jax.jacfwd(first(function), (0, 1)),
+        lambda function: jax.jacrev(first(function), (0, 1)),
+        lambda function: jax.jacfwd(jax.jacrev(first(function), (0, 1)), (0, 1)),
     ],
     ids=["value", "jit", "vmap", "forward", "backward", "second"],
 )
