@@ -51,15 +51,12 @@ def main() -> None:
     parser.add_argument("--tolerance", type=float, default=jaxscp.ProximalSCP().tolerance)
     parser.add_argument("--nodes", type=int, default=100)
     parser.add_argument("--repeats", type=int, default=7)
-    parser.add_argument("--cache", help="folder of JAX's persistent compilation cache")
+    parser.add_argument("--cache", help="folder to keep compiled programs in")
     options = vars(parser.parse_args())
     place, result = options.pop("case"), options.pop("result")
     jax.config.update("jax_enable_x64", True)
     if cache := options.pop("cache"):
-        jax.config.update("jax_compilation_cache_dir", cache)
-        # Whatever can be kept.
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-        jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+        jaxscp.keep_programs(cache)
     facts, case = solve(**options)
     place.write_text(json.dumps(case))
     result.write_text(json.dumps(facts))

@@ -4,6 +4,7 @@ from . import missions as missions, models as models, textbook as textbook
 from ._attempt import Attempt as Attempt
 from ._audit import Audit as Audit, Audited as Audited, audit_gradient as audit_gradient
 from ._bounds import Bounds as Bounds
+from ._cache import keep_programs as keep_programs
 from ._continuation import continuation as continuation
 from ._discretization import Discretization as Discretization, Quadrature as Quadrature
 from ._hold import (

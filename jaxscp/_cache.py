@@ -1,4 +1,4 @@
-"""Where the command line and the workers of sweeps keep what they compiled."""
+"""Where programs are kept from one process to the next."""
 
 import contextlib
 import hashlib
@@ -16,20 +16,33 @@ except ImportError:  # On Windows.
     fcntl = None  # type: ignore[assignment]
 
 _FOLDER = "jax_compilation_cache_dir"
+_ENABLED = "jax_enable_compilation_cache"
 # Of Linux' description of a processor, what programs compiled for it depend on.
 _FEATURES = ("model name", "flags", "Features")
 # What JAX says when it begins to compile a program, and when it has it.
 _COMPILING = "/jax/core/compile/backend_compile_duration"
+_keeps = False
 
 
-def keep_programs() -> None:
-    """Turn JAX's persistent cache on, unless the user has chosen a folder for it.
+def keep_programs(folder: str | Path | None = None) -> None:
+    """Keep what is compiled for other processes, which then start in half the time.
 
-    `JAX_ENABLE_COMPILATION_CACHE=false` turns it off.
+    JAX's persistent cache is turned on. It has to trace a program before it can say
+    whether it knows it; solves of jaxscp's own missions are kept so that they need not
+    be traced, either. The command line and the workers of sweeps always do this;
+    `JAX_ENABLE_COMPILATION_CACHE=false` in the environment turns it off.
+
+    **Arguments:**
+
+    - `folder`: where to keep them; by default where JAX has been told to, or else in the
+        user's caches (`XDG_CACHE_HOME`). If that cannot be written to, nothing is kept.
+        It must be one that nobody else may write to: what lies there is run.
     """
-    if getattr(jax.config, _FOLDER) is not None:
+    global _keeps
+    if folder is None and getattr(jax.config, _FOLDER) is not None:
+        _keeps = True
         return
-    folder = _folder()
+    folder = _folder() if folder is None else Path(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError:
@@ -39,6 +52,16 @@ def keep_programs() -> None:
     jax.config.update(_FOLDER, str(folder))
     # Small programs, too: there are dozens of them.
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+    _keeps = True
+
+
+def whole_programs() -> Path | None:
+    """The folder of those that are found untraced (`_kept`), if any are."""
+    folder = getattr(jax.config, _FOLDER)
+    # JAX also knows places elsewhere.
+    if not _keeps or folder is None or "://" in folder:
+        return None
+    return Path(folder) / "jaxscp" if getattr(jax.config, _ENABLED) else None
 
 
 def compile_in_turn() -> None:
@@ -81,10 +104,11 @@ def _folder() -> Path:
     """One for each kind of processor: homes are shared, programs are not."""
     home = os.environ.get("XDG_CACHE_HOME")
     caches = Path(home) if home else Path.home() / ".cache"
-    return caches / "jaxscp" / hashlib.sha256(_processor().encode()).hexdigest()[:16]
+    return caches / "jaxscp" / hashlib.sha256(processor().encode()).hexdigest()[:16]
 
 
-def _processor() -> str:
+def processor() -> str:
+    """What programs that are compiled for a processor depend on."""
     try:
         lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
     except OSError:

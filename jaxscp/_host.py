@@ -21,7 +21,7 @@ from ._types import Array, Float
 _METADATA, _EXECUTE, _INTERNAL = 1, 3, 13
 _POINTER, _INT, _SIZE = ctypes.c_void_p, ctypes.c_int, ctypes.c_size_t
 # Functions by their names, and what XLA calls for them: neither may be forgotten.
-_registered: dict[str, Any] = {}
+_registered: dict[str, tuple[Callable[[np.ndarray], Any], Any]] = {}
 
 
 class _Header(ctypes.Structure):
@@ -111,7 +111,7 @@ def call_on_host(
     """
     assert vector.dtype == np.float64
     shape = jax.ShapeDtypeStruct((size,), vector.dtype)
-    if _is_registered(name, function):
+    if register(name, function):
         return jax.ffi.ffi_call(name, shape, vmap_method="sequential")(vector)
     return jax.pure_callback(function, shape, vector, vmap_method="sequential")
 
@@ -126,15 +126,15 @@ def tell_host(
     - `name`: as in [`call_on_host`][].
     """
     assert vector.dtype == np.float64
-    if _is_registered(name, function):
+    if register(name, function):
         tell = jax.ffi.ffi_call(name, (), has_side_effect=True, vmap_method="sequential")
         tell(vector)
     else:
         jax.debug.callback(function, vector)
 
 
-def _is_registered(name: str, function: Callable[[np.ndarray], Any]) -> bool:
-    """Whether XLA now knows it by its name."""
+def register(name: str, function: Callable[[np.ndarray], Any]) -> bool:
+    """Whether XLA now knows a function by its name."""
     if jax.default_backend() != "cpu":
         return False
     if name not in _registered:
@@ -145,8 +145,13 @@ def _is_registered(name: str, function: Callable[[np.ndarray], Any]) -> bool:
         except jax.errors.JaxRuntimeError:
             # An XLA that speaks another version.
             return False
-        _registered[name] = handler
+        _registered[name] = (function, handler)
     return True
+
+
+def called_by(program: str) -> dict[str, Callable[[np.ndarray], Any]]:
+    """The functions that are named in a program's text."""
+    return {name: each for name, (each, _) in _registered.items() if name in program}
 
 
 def _handler(function: Callable[[np.ndarray], Any]) -> Callable:

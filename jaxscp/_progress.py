@@ -4,6 +4,7 @@ A program knows only the number of whom it tells. It is the same for all of them
 every process.
 """
 
+import functools
 from collections.abc import Callable
 
 import jax.numpy as jnp
@@ -32,12 +33,14 @@ def tell(
 ) -> None:
     """Call a listener with an iteration's numbers."""
     names = tuple(values)
-
-    def heard(vector: Float[np.ndarray, " v"]) -> None:
-        number, attempt, iteration = (int(count) for count in vector[:_COUNTS])
-        told = dict(zip(names, vector[_COUNTS:].tolist(), strict=True))
-        _listeners[number]({"attempt": attempt, "iteration": iteration, **told})
-
     counts = [listener, jnp.asarray(attempt), iteration]
     vector = jnp.stack([jnp.asarray(v, float) for v in [*counts, *values.values()]])
-    tell_host(f"jaxscp_progress_{'_'.join(names)}", heard, vector)
+    tell_host(
+        f"jaxscp_progress_{'_'.join(names)}", functools.partial(_heard, names), vector
+    )
+
+
+def _heard(names: tuple[str, ...], vector: Float[np.ndarray, " v"]) -> None:
+    number, attempt, iteration = (int(count) for count in vector[:_COUNTS])
+    told = dict(zip(names, vector[_COUNTS:].tolist(), strict=True))
+    _listeners[number]({"attempt": attempt, "iteration": iteration, **told})

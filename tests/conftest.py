@@ -47,6 +47,12 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("jaxscp")
 
 
+@pytest.fixture(autouse=True)
+def nothing_is_kept(monkeypatch):
+    """Commands that a test runs keep programs. Another test may change what is traced."""
+    monkeypatch.setattr("jaxscp._cache._keeps", False)
+
+
 # Files that share what they compile: one worker takes them.
 TOGETHER = {
     "test_cli": ("test_cli", "test_sweep"),

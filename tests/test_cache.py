@@ -49,7 +49,7 @@ def test_each_kind_of_processor_has_its_own(monkeypatch):
     keep_programs()
     assert folder() == before
     jax.config.update("jax_compilation_cache_dir", None)
-    monkeypatch.setattr(_cache, "_processor", lambda: "another")
+    monkeypatch.setattr(_cache, "processor", lambda: "another")
     keep_programs()
     assert folder() != before
 

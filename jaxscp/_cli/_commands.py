@@ -10,7 +10,7 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from .. import _files, missions as catalogue
+from .. import _files, _writing, missions as catalogue
 from .._audit import HEADING, audit_gradient
 from .._choice import checked
 from .._direction import own_directions
@@ -105,7 +105,7 @@ def audit(arguments: argparse.Namespace) -> int:
     """Check a mission's derivatives, a line for each of its numbers."""
     try:
         if arguments.json is not None:
-            _files.check_writable("--json", arguments.json)
+            _writing.check_writable("--json", arguments.json)
         mission, _ = _checked_mission(arguments)
         wrt = arguments.wrt or [
             field.name for field in dataclasses.fields(mission) if field.name != "plan"
@@ -220,10 +220,10 @@ def _write(
 
 def _write_json(path: str, report: dict[str, Any]) -> None:
     text = json.dumps(report, indent=2, allow_nan=False) + "\n"
-    _files.write_bytes(path, text.encode())
+    _writing.write_bytes(path, text.encode())
 
 
 def _check_outputs(arguments: argparse.Namespace, *options: str) -> None:
     for option in options:
         if (path := getattr(arguments, option)) is not None:
-            _files.check_writable(f"--{option}", path)
+            _writing.check_writable(f"--{option}", path)

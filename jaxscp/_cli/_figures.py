@@ -4,7 +4,7 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .. import _files
+from .._writing import write_bytes
 
 if TYPE_CHECKING:
     # Imported where needed: Matplotlib takes a second.
@@ -15,7 +15,7 @@ def write_figure(path: str | Path, figure: "Figure") -> None:
     """Write a figure."""
     picture = io.BytesIO()
     figure.savefig(picture, format=_format(path), dpi=150)
-    _files.write_bytes(path, picture.getvalue())
+    write_bytes(path, picture.getvalue())
 
 
 def check_format(path: str) -> None:

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from .. import _files
+from .. import _writing
 from .._reproduction import reproduce as solve_missions
 from .._reproduction_text import markdown
 from ._arguments import FAILURE, METHODS, SUCCESS, InputError
@@ -16,7 +16,7 @@ def reproduce(arguments: argparse.Namespace) -> int:
     """Solve the paper's missions; write a page, its figures and the trajectories."""
     folder = Path(arguments.output)
     try:
-        _files.check_folder("--output", folder)
+        _writing.check_folder("--output", folder)
         found = solve_missions(
             METHODS[arguments.method](),
             nodes=arguments.nodes,
@@ -35,7 +35,7 @@ def reproduce(arguments: argparse.Namespace) -> int:
         write_figure(folder / f"{name}.{arguments.format}", figure)
     pictures = [f"![{name}]({name}.{arguments.format})" for name in figures]
     page = "\n\n".join([markdown(found).rstrip(), "## Figures", *pictures]) + "\n"
-    _files.write_bytes(folder / PAGE, page.encode())
+    _writing.write_bytes(folder / PAGE, page.encode())
     print(found.sweep)
     print(f"written to {folder / PAGE}")
     return SUCCESS if found.succeeded else FAILURE

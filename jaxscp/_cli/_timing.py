@@ -7,11 +7,15 @@ from typing import Any
 
 import jax.monitoring
 
+from .._kept import LOADING
+
 COMPILATION = "/jax/core/compile/"
 
 
 class CompileClock:
-    """Counts the seconds of tracing, lowering and compiling while it is open."""
+    """Counts the seconds of tracing, lowering and compiling, or of reading what was
+    compiled before, while it is open.
+    """
 
     def __init__(self) -> None:
         self._spans: list[tuple[float, float]] = []
@@ -29,7 +33,7 @@ class CompileClock:
 
     def _record(self, event: str, duration_secs: float, **details: Any) -> None:
         del details
-        if not event.startswith(COMPILATION):
+        if event != LOADING and not event.startswith(COMPILATION):
             return
         end = time.perf_counter()
         begin = end - duration_secs

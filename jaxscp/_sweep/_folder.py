@@ -5,7 +5,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from .._files import check_folder, npz_bytes, read_npz, write_bytes
+from .._files import npz_bytes, read_npz
+from .._writing import check_folder, write_bytes
 from ._record import COLUMNS, FLIGHT, Record
 
 MANIFEST = "sweep.json"

@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from .. import missions
-from .._files import npz_bytes, read_npz, write_bytes
+from .._files import npz_bytes, read_npz
 from .._trajectory import Trajectory
+from .._writing import write_bytes
 from ..missions import Mission
 from ._points import Point
 from ._record import COLUMNS, FLIGHT, Record

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
 from matplotlib.figure import Figure
 
-from .._files import check_writable, write_bytes
 from .._solution import Solution
+from .._writing import check_writable, write_bytes
 from ..missions import Mission
 from ._link import rate
 from ._places import ROUTE, positions

@@ -1,0 +1,114 @@
+"""Programs that other processes have compiled, found without tracing them.
+
+A first solve spends half its time on tracing and lowering where XLA's part is in JAX's
+persistent cache, which wants to see the lowered program first.
+"""
+
+import contextlib
+import os
+import pickle
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.monitoring
+from jax.experimental import serialize_executable
+
+from ._cache import whole_programs
+from ._fingerprint import filled, fingerprint, with_slots
+from ._host import called_by, register
+from ._pickling import pickled
+from ._types import PyTree
+from ._writing import write_bytes
+
+# Told to JAX's listeners when a program is read.
+LOADING = "/jaxscp/load_program_duration"
+# A megabyte each.
+_MOST_FILES = 100
+_found: dict[str, "Program | None"] = {}
+
+
+class Program(NamedTuple):
+    """
+    - `compiled`: makes arrays of arrays.
+    - `result`: what they are the arrays of.
+    """
+
+    compiled: Callable[..., list[jax.Array]]
+    result: PyTree
+
+    def __call__(self, arguments: PyTree) -> PyTree:
+        arrays = jax.tree.leaves(eqx.filter(arguments, eqx.is_array))
+        return filled(self.result, self.compiled(*arrays))
+
+
+def kept_program(
+    function: Callable, arguments: PyTree, options: dict[str, Any]
+) -> Program | None:
+    """A function's program for arguments like these; none if it cannot be kept."""
+    folder = whole_programs()
+    if folder is None or jax.default_backend() != "cpu" or jax.device_count() > 1:
+        return None
+    name = fingerprint(function, arguments, options)
+    if name is None:
+        return None
+    if name not in _found:
+        # One that could not be kept would be compiled at every call.
+        file = folder / name
+        _found[name] = _load(file) or _save(file, function, arguments, options)
+    return _found[name]
+
+
+def _load(file: Path) -> Program | None:
+    begun = time.perf_counter()
+    try:
+        parts = pickle.loads(zlib.decompress(file.read_bytes()))
+        executable, result, on_host = parts
+        for name, function in on_host.items():
+            register(name, function)
+        # JAX readies LAPACK for XLA when it lowers the first program that calls it.
+        jax.jit(jax.lax.linalg.eigh).lower(jax.ShapeDtypeStruct((2, 2), float))
+        compiled = serialize_executable.deserialize_and_load(*executable)
+        os.utime(file)
+    except Exception:
+        # No such file, a damaged one, or XLA refuses it: it is compiled and written anew.
+        return None
+    taken = time.perf_counter() - begun
+    jax.monitoring.record_event_duration_secs(LOADING, taken)
+    return Program(compiled, result)
+
+
+def _save(
+    file: Path, function: Callable, arguments: PyTree, options: dict[str, Any]
+) -> Program | None:
+    arrays, others = eqx.partition(arguments, eqx.is_array)
+    leaves, tree = jax.tree.flatten(arrays)
+    results = []
+
+    def program(*leaves):
+        found = function(*eqx.combine(jax.tree.unflatten(tree, leaves), others))
+        results.append(with_slots(found))
+        return jax.tree.leaves(eqx.filter(found, eqx.is_array))
+
+    program.__name__ = function.__name__
+    lowered = jax.jit(program, compiler_options=options).lower(*leaves)
+    compiled = lowered.compile()
+    with contextlib.suppress(Exception):
+        # Without a file it serves this process all the same.
+        executable = serialize_executable.serialize(compiled)
+        on_host = called_by(lowered.as_text())
+        parts = pickled((executable, results[0], on_host))
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_bytes(file, zlib.compress(parts, 1))
+        _forget_oldest(file.parent)
+    return Program(compiled, results[0])
+
+
+def _forget_oldest(folder: Path) -> None:
+    files = sorted(folder.iterdir(), key=lambda file: file.stat().st_mtime)
+    for file in files[:-_MOST_FILES]:
+        file.unlink(missing_ok=True)
