@@ -7,6 +7,7 @@ persistent cache, which wants to see the lowered program first.
 import contextlib
 import os
 import pickle
+import threading
 import time
 import zlib
 from collections.abc import Callable
@@ -27,6 +28,8 @@ from ._writing import write_bytes
 
 # Told to JAX's listeners when a program is read.
 LOADING = "/jaxscp/load_program_duration"
+# What it tells when it has compiled a program and put it into its cache.
+_MISS = "/jax/compilation_cache/cache_misses"
 # A megabyte each.
 _MOST_FILES = 100
 _found: dict[str, "Program | None"] = {}
@@ -38,7 +41,7 @@ class Program(NamedTuple):
     - `result`: what they are the arrays of.
     """
 
-    compiled: Callable[..., list[jax.Array]]
+    compiled: jax.stages.Compiled
     result: PyTree
 
     def __call__(self, arguments: PyTree) -> PyTree:
@@ -84,7 +87,7 @@ def _load(file: Path) -> Program | None:
 
 def _save(
     file: Path, function: Callable, arguments: PyTree, options: dict[str, Any]
-) -> Program | None:
+) -> Program:
     arrays, others = eqx.partition(arguments, eqx.is_array)
     leaves, tree = jax.tree.flatten(arrays)
     results = []
@@ -94,21 +97,47 @@ def _save(
         results.append(with_slots(found))
         return jax.tree.leaves(eqx.filter(found, eqx.is_array))
 
-    program.__name__ = function.__name__
+    # In JAX's cache it is not the same as before something changed that it is named for.
+    program.__name__ = f"{function.__name__}_{file.name[:16]}"
     lowered = jax.jit(program, compiler_options=options).lower(*leaves)
-    compiled = lowered.compile()
-    with contextlib.suppress(Exception):
+    with _Misses() as misses:
+        compiled = lowered.compile()
+    made = Program(compiled, results[0])
+    if misses.count:
         # Without a file it serves this process all the same.
-        executable = serialize_executable.serialize(compiled)
-        on_host = called_by(lowered.as_text())
-        parts = pickled((executable, results[0], on_host))
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(file, zlib.compress(parts, 1))
-        _forget_oldest(file.parent)
-    return Program(compiled, results[0])
+        with contextlib.suppress(Exception):
+            _write(file, made, called_by(lowered.as_text()))
+    return made
 
 
-def _forget_oldest(folder: Path) -> None:
-    files = sorted(folder.iterdir(), key=lambda file: file.stat().st_mtime)
-    for file in files[:-_MOST_FILES]:
-        file.unlink(missing_ok=True)
+def _write(file: Path, made: Program, on_host: dict[str, Callable]) -> None:
+    executable = serialize_executable.serialize(made.compiled)
+    content = zlib.compress(pickled((executable, made.result, on_host)), 1)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    write_bytes(file, content)
+    files = sorted(file.parent.iterdir(), key=lambda each: each.stat().st_mtime)
+    for each in files[:-_MOST_FILES]:
+        each.unlink(missing_ok=True)
+
+
+class _Misses:
+    """Counts what this thread compiles because JAX's cache has not got it, while open.
+
+    What comes from that cache runs, but lacks its kernels when it is written again.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def __enter__(self) -> "_Misses":
+        self._thread = threading.get_ident()
+        jax.monitoring.register_event_listener(self._hear)
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        jax.monitoring.unregister_event_listener(self._hear)
+
+    def _hear(self, event: str, **details: Any) -> None:
+        del details
+        here = self._thread == threading.get_ident()
+        self.count += here and event == _MISS

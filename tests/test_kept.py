@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.experimental.compilation_cache import compilation_cache
 
 import jaxscp
 from jaxscp import _kept, missions, textbook
@@ -30,10 +31,13 @@ def folder(tmp_path, monkeypatch):
     names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
     before = {name: getattr(jax.config, name) for name in names}
     monkeypatch.setattr(_kept, "_found", {})
+    # JAX looks once where its own cache is.
+    compilation_cache.reset_cache()
     jaxscp.keep_programs(tmp_path)
     yield tmp_path / "jaxscp"
     for name, value in before.items():
         jax.config.update(name, value)
+    compilation_cache.reset_cache()
 
 
 @pytest.fixture
@@ -55,6 +59,11 @@ def solution(problem=None, **settings):
     return jaxscp.solve(problem, nodes=7, **settings)
 
 
+def solve_is_traced(events):
+    names = [name for event, name, _ in events if event == TRACING]
+    return any(name.startswith("_run") for name in names)
+
+
 def numbers(tree):
     # Statistics hold seconds, which differ from solve to solve.
     return [np.asarray(leaf) for leaf in jax.tree.leaves((tree.trajectory, tree.history))]
@@ -64,14 +73,13 @@ def test_it_is_found_untraced(folder, events, monkeypatch):
     first = solution()
     (file,) = folder.iterdir()
     written = file.stat().st_mtime_ns
-    traced = [name for event, name, _ in events if event == TRACING]
-    assert "_run" in traced
+    assert solve_is_traced(events)
     assert _kept.LOADING not in [event for event, *_ in events]
     # As if another process had written it.
     monkeypatch.setattr(_kept, "_found", {})
     events.clear()
     again = solution()
-    assert "_run" not in [name for event, name, _ in events if event == TRACING]
+    assert not solve_is_traced(events)
     (seconds,) = [seconds for event, _, seconds in events if event == _kept.LOADING]
     assert 0.0 < seconds < 60.0
     for one, other in zip(numbers(first), numbers(again), strict=True):
@@ -106,9 +114,7 @@ def test_who_listens_is_told(folder, monkeypatch):
         solution(progress=told.append)
     assert len(list(folder.iterdir())) == 1
     assert told[0]["iteration"] == 1
-    assert [row["iteration"] for row in told] == 2 * [
-        row["iteration"] for row in told[: len(told) // 2]
-    ]
+    assert told[: len(told) // 2] == told[len(told) // 2 :]
 
 
 def test_derivatives_are_what_they_are(folder):
@@ -141,13 +147,20 @@ def test_a_users_function_is_not_kept(folder):
     assert len(list(folder.iterdir())) == 1
 
 
-@pytest.mark.parametrize("how", ["cut", "foreign", "empty"])
-def test_a_damaged_file_is_written_anew(how, folder, monkeypatch):
+def test_a_damaged_file_is_written_anew(folder, monkeypatch):
     first = solution()
     (file,) = folder.iterdir()
     whole = file.read_bytes()
-    damaged = {"cut": whole[: len(whole) // 2], "foreign": b"text", "empty": b""}
-    file.write_bytes(damaged[how])
+    for damaged in (b"", b"text", whole[: len(whole) // 2]):
+        file.write_bytes(damaged)
+        assert _kept._load(file) is None
+    monkeypatch.setattr(_kept, "_found", {})
+    assert solution().objective == first.objective
+    # What comes from JAX's cache would lack its kernels if it was written again.
+    assert file.read_bytes() == damaged
+    compilation_cache.reset_cache()
+    for entry in folder.parent.glob("*-cache"):
+        entry.unlink()
     monkeypatch.setattr(_kept, "_found", {})
     assert solution().objective == first.objective
     assert len(file.read_bytes()) > len(whole) // 2
@@ -158,20 +171,21 @@ def test_without_a_file_it_serves_the_process(folder, events):
     first = solution()
     events.clear()
     assert solution().objective == first.objective
-    assert "_run" not in [name for event, name, _ in events if event == TRACING]
+    assert not solve_is_traced(events)
 
 
 def test_those_not_used_for_long_go_first(folder, monkeypatch):
-    solution()
-    (file,) = folder.iterdir()
+    folder.mkdir()
     now = time.time()
     for index in range(4):
         other = folder / f"other{index}"
         other.write_bytes(b"")
         os.utime(other, (now - 100 + index, now - 100 + index))
     monkeypatch.setattr(_kept, "_MOST_FILES", 3)
-    _kept._forget_oldest(folder)
-    assert {each.name for each in folder.iterdir()} == {file.name, "other2", "other3"}
+    solution()
+    left = {each.name for each in folder.iterdir()}
+    assert len(left) == 3
+    assert left > {"other2", "other3"}
 
 
 class Mine(jaxscp.ProximalSCP):
@@ -279,16 +293,24 @@ jax.monitoring.register_event_duration_secs_listener(
     lambda event, seconds, **_: heard.append(event)
 )
 jaxscp.keep_programs(sys.argv[1])
-mission = jaxscp.missions.get("free-flight")
-solved = jaxscp.missions.solve(mission, nodes=20, throw=False)
+problem = jaxscp.textbook.minimum_time_double_integrator()
+solved = jaxscp.solve(problem, nodes=7)
 print(repr(float(solved.objective)), solved.message)
 print("/jaxscp/load_program_duration" in heard)
 """
-    command = [sys.executable, "-c", script, str(tmp_path)]
-    runs = [
-        subprocess.run(command, capture_output=True, text=True, check=True).stdout
-        for _ in range(2)
-    ]
-    (first, compiled), (second, found) = (run.splitlines() for run in runs)
+    # As users have it: XLA then compiles parts side by side.
+    environment = {k: v for k, v in os.environ.items() if k != "XLA_FLAGS"}
+
+    def run():
+        found = subprocess.run(
+            [sys.executable, "-c", script, str(tmp_path)],
+            capture_output=True,
+            text=True,
+            check=True,
+            env=environment,
+        )
+        return found.stdout.splitlines()
+
+    (first, compiled), (second, found) = run(), run()
     assert (compiled, found) == ("False", "True")
     assert first == second
