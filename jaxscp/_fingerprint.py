@@ -8,7 +8,6 @@ is installed tells it. A user's function may read whatever it likes: nothing tel
 import dataclasses
 import functools
 import hashlib
-import importlib.metadata
 import os
 import sys
 from collections.abc import Callable
@@ -17,13 +16,15 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jaxlib
+import numpy as np
 
 from ._cache import processor
 from ._pickling import packages_in, pickled_by_value
 from ._types import PyTree
 
 _OWN = __name__.partition(".")[0]
-_LIBRARIES = ("equinox", "jax", "jaxlib", "numpy")
+_LIBRARIES = {each.__name__: each.__version__ for each in (eqx, jax, jaxlib, np)}
 # With what pickles need to make values of parts.
 _MAKERS = ("_codecs", "builtins", "collections", "copyreg", "enum", "functools")
 _KNOWN = {_OWN, *_LIBRARIES, *_MAKERS}
@@ -102,6 +103,5 @@ def _installed() -> str | None:
     for source in sources:
         digest.update(f"{source.relative_to(root)}\0".encode())
         digest.update(source.read_bytes())
-    versions = [importlib.metadata.version(each) for each in _LIBRARIES]
-    digest.update(repr((versions, sys.version, processor())).encode())
+    digest.update(repr((_LIBRARIES, sys.version, processor())).encode())
     return digest.hexdigest()
