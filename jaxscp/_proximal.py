@@ -25,6 +25,10 @@ from ._tree import tree_where
 from ._trust_region import blind_reach, metric, next_radius, next_reach
 from ._types import Array, Scalar
 
+# Corrections of a polishing step, which may go far along what the cost hardly sees: each
+# costs a third of an iteration.
+_POLISHING = 2
+
 
 class ProximalSCP(AbstractSCP):
     """SCP with a soft 2-norm trust region and second-order information.
@@ -180,6 +184,7 @@ class ProximalSCP(AbstractSCP):
             feasibility=jnp.where(
                 state.near & self.correction, 0.01 * state.optimality, jnp.inf
             ),
+            corrections=jnp.where(state.near, _POLISHING, 1),
         )
         # The exact penalty hides progress that is second order in the step.
         harmless = judgement.actual >= -self.far * (1.0 + jnp.abs(judgement.reference))

@@ -1,4 +1,4 @@
-"""The step of one iteration: a subproblem's, or its second-order correction."""
+"""The step of one iteration: a subproblem's, or a second-order correction of it."""
 
 import dataclasses
 from collections.abc import Callable
@@ -20,15 +20,17 @@ from ._types import Array
 
 
 class Search(eqx.Module):
-    """One or two passes for a step.
+    """Passes for a step, one after the other.
 
     - `around`: the residuals the next subproblem is built on.
     - `merit`: which judges the step.
     - `expected`: residuals the model predicts for the uncorrected step.
-    - `best`: the better trial so far. `newton`: of the first pass, once that is done.
+    - `best`: the best trial so far. `newton`: of the first pass, once that is done.
+    - `improved`: whether the last pass is the best.
     """
 
     passes: Array
+    improved: Array
     around: Residuals
     merit: AbstractMerit
     expected: Residuals
@@ -47,12 +49,13 @@ def search(
     accept_ratio: float,
     correction_ratio: Array,
     feasibility: Array,
+    corrections: Array,
 ) -> tuple[Search, Judgement]:
     """The subproblem's step or, if that is poor, its second-order correction.
 
     The correction solves the same subproblem with what the linearization missed at the
     first trial added to every constraint: c(z + d) - J d instead of c(z). Fletcher,
-    "Practical Methods of Optimization", Section 14.4. Both passes are one loop, so that
+    "Practical Methods of Optimization", Section 14.4. All passes are one loop, so that
     a subproblem is compiled once.
 
     **Arguments:**
@@ -62,6 +65,8 @@ def search(
         correction's starts from the step that it corrects.
     - `accept_ratio`: as in the ratio test. `correction_ratio`: below it a step is poor.
     - `feasibility`: a step that violates a constraint by more is poor, too.
+    - `corrections`: how often a step may be corrected, each time by what was missed
+        since, as long as that makes it better.
     """
     limits = integral_limits(transcription, state.scaling)
     here = state.iterate.residuals
@@ -75,7 +80,8 @@ def search(
         solved = found.best.solution.effort.solved
         poor = judged(found).ratio < correction_ratio
         poor |= worst_violation(found.best.residuals, limits) > feasibility
-        return (found.passes == 0) | ((found.passes == 1) & solved & poor)
+        left = (found.passes <= corrections) & found.improved
+        return (found.passes == 0) | (left & solved & poor)
 
     def attempt(found: Search) -> Search:
         first, best = found.passes == 0, found.best
@@ -83,22 +89,24 @@ def search(
         solution = _or_stay(solution, state.solution)
         following = state.merit.following(solution.multipliers, state.ceiling)
         merit = tree_where(first, following, found.merit)
-        expected = tree_where(first, model.predict(solution.step), found.expected)
+        predicted = model.predict(solution.step)
+        expected = tree_where(first, predicted, found.expected)
         trial = try_step(transcription, state.scaling, state.iterate, solution, merit)
         better = first | (solution.effort.solved & (trial.cost < best.cost))
         chosen = dataclasses.replace(
             tree_where(better, trial, best),
             solution=_combined(first, better, solution, best.solution),
         )
-        around = _corrected(here, trial.residuals, expected)
+        around = _corrected(found.around, trial.residuals, predicted)
         newton = tree_where(first, newton, found.newton)
         passes = found.passes + 1
-        return Search(passes, around, merit, expected, chosen, newton)
+        return Search(passes, better, around, merit, expected, chosen, newton)
 
     zero = jnp.zeros(())
     nowhere = Trial(state.solution, state.iterate.variables, here, zero + jnp.inf, zero)
     passes = jnp.zeros((), int)
-    found = Search(passes, here, state.merit, here, nowhere, newton)
+    improved = jnp.array(True)
+    found = Search(passes, improved, here, state.merit, here, nowhere, newton)
     found = jax.lax.while_loop(again, attempt, found)
     return found, judged(found)
 
@@ -125,17 +133,17 @@ def _combined(
     )
 
 
-def _corrected(here: Residuals, seen: Residuals, expected: Residuals) -> Residuals:
-    """Residuals at the reference, plus what the linearization missed at a trial."""
+def _corrected(around: Residuals, seen: Residuals, expected: Residuals) -> Residuals:
+    """What a subproblem was built on, plus what its linearization missed at a trial."""
     missed = seen.increments - expected.increments
     # Where there is no limit, its peak is infinitely low.
-    limited = jnp.isfinite(here.between)
+    limited = jnp.isfinite(around.between)
     between = jnp.where(limited, seen.between - expected.between, 0.0)
     return Residuals(
-        objective=here.objective,
-        defects=here.defects + seen.defects - expected.defects,
-        path=here.path + seen.path - expected.path,
-        between=here.between + between,
+        objective=around.objective,
+        defects=around.defects + seen.defects - expected.defects,
+        path=around.path + seen.path - expected.path,
+        between=around.between + between,
         # But for the cost, whose curvature the model has already.
-        increments=here.increments + missed.at[:, -1].set(0.0),
+        increments=around.increments + missed.at[:, -1].set(0.0),
     )
