@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 
 from ._types import Array, Float, Scalar
 
@@ -129,9 +130,21 @@ def _sum(one: Array | None, other: Array | None) -> Array | None:
     return one + other
 
 
-def convex_part(matrix: Float[Array, "*b w w"]) -> Float[Array, "*b w w"]:
-    """The matrices without their negative eigenvalues."""
-    return _with_eigenvalues(matrix, lambda values: jnp.maximum(values, 0.0))
+def convex_part(
+    matrix: Float[Array, "*b w w"], entries: np.ndarray
+) -> Float[Array, "*b w w"]:
+    """The matrices without their negative eigenvalues.
+
+    **Arguments:**
+
+    - `entries`: the rows and columns that may have anything in them: to look for
+        eigenvalues in all of them takes longer.
+    """
+    if not entries.size:
+        return jnp.zeros_like(matrix)
+    part = (..., entries[:, None], entries)
+    convex = _with_eigenvalues(matrix[part], lambda values: jnp.maximum(values, 0.0))
+    return jnp.zeros_like(matrix).at[part].set(convex)
 
 
 def magnitude(matrix: Float[Array, "*b w w"]) -> Float[Array, "*b w w"]:

@@ -2,10 +2,11 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ._curvature import Curvature
 from ._loop import over_all
-from ._nonlinear import hessian
+from ._nonlinear import Nonlinearity, hessian
 from ._per_constraint import PerConstraint
 from ._second_order import interval_hessian
 from ._step import Span
@@ -80,6 +81,19 @@ def nodal_curvature(
         blocks = blocks.at[-1, size:].set(0.0).at[-1, :, size:].set(0.0)
     two_sided = transcription.discretization.holds_right
     return Curvature.of_nodes(blocks, size, two_sided=two_sided, borrows=borrows)
+
+
+def curved_entries(transcription: Transcription) -> np.ndarray:
+    """The entries of a node's (x, u) by which `nodal_curvature` may not be zero."""
+    problem = transcription.problem
+    n = problem.state_size
+
+    def values(z):
+        at = (jnp.zeros(()), z[:n], z[n:])
+        end = problem.terminal_cost(*at[:2])
+        return jnp.concatenate([problem.rates(*at), problem.path(*at), end[None]])
+
+    return Nonlinearity.of(values, n + problem.control_size).entries
 
 
 def _of_path(

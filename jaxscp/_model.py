@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from ._compiler import traced_once
 from ._curvature import Curvature, convex_part
-from ._lagrangian import lagrangian_hessian, nodal_curvature
+from ._lagrangian import curved_entries, lagrangian_hessian, nodal_curvature
 from ._per_constraint import PerConstraint
 from ._scaling import Scaling
 from ._transcription import Derivatives, Residuals, Transcription, Variables, held
@@ -90,7 +90,8 @@ def nodewise_curvature(
     """
     physical = scaling.physical(multipliers)
     scaled = scaling.curvature(nodal_curvature(transcription, point, physical))
-    return dataclasses.replace(scaled, blocks=convex_part(scaled.blocks))
+    convex = convex_part(scaled.blocks, curved_entries(transcription))
+    return dataclasses.replace(scaled, blocks=convex)
 
 
 @traced_once

@@ -17,11 +17,12 @@ from scipy.linalg import expm
 from jaxscp import Bounds, FirstOrderHold, OptimalControlProblem, ZeroOrderHold, missions
 from jaxscp._discretization import Discretization, Quadrature
 from jaxscp._flow import Flow
-from jaxscp._lagrangian import nodal_curvature
+from jaxscp._lagrangian import curved_entries, nodal_curvature
 from jaxscp._per_constraint import PerConstraint
 from jaxscp._problem import Integral
 from jaxscp._step import Span
 from jaxscp._transcription import Residuals, Transcription, Variables
+from jaxscp.textbook import minimum_energy_double_integrator
 
 ZERO_ORDER, FIRST_ORDER = ZeroOrderHold(), FirstOrderHold()
 every_hold = pytest.mark.parametrize(
@@ -477,6 +478,18 @@ def nodal_sum(transcription, variables, rate_weights, path_weights, shares):
         total += path_weights[k] @ jnp.concatenate(path)
     last = problem.terminal_cost(variables.final_time, variables.states[-1])
     return total + rate_weights[-1] * last
+
+
+def test_curvature_is_zero_but_for_what_is_told():
+    problem = costly_pendulum()
+    transcription = transcribed(problem, UNEVEN, FIRST_ORDER)
+    found = curvature(transcription, point(transcription), multipliers_of(transcription))
+    entries = curved_entries(transcription)
+    seen = np.any(np.asarray(found.blocks) != 0.0, axis=(0, 1))
+    assert set(np.flatnonzero(seen)) <= set(entries)
+    # Linear in its state, quadratic in its control.
+    integrator = minimum_energy_double_integrator()
+    assert curved_entries(transcribed(integrator, EVEN)).tolist() == [2]
 
 
 def test_curvature_is_the_hessian_of_the_nodal_sum():

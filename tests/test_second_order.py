@@ -264,7 +264,15 @@ def test_the_convex_part_has_the_eigenvalues_that_are_not_negative(values):
         turns @ np.diag(diagonal) @ np.swapaxes(turns, 1, 2)
         for diagonal in (np.array(values), np.maximum(values, 0.0))
     )
-    assert_allclose(convex_part(jnp.asarray(given)), kept, atol=1e-14)
+    assert_allclose(convex_part(jnp.asarray(given), np.arange(3)), kept, atol=1e-14)
+    # Among zeros, which are not looked at.
+    entries = np.array([1, 2, 4])
+    wide, expected = np.zeros((2, 2, 5, 5))
+    wide[:, entries[:, None], entries] = given
+    expected[:, entries[:, None], entries] = kept
+    assert_allclose(convex_part(jnp.asarray(wide), entries), expected, atol=1e-14)
+    nothing = convex_part(jnp.asarray(wide), np.array([], int))
+    assert_allclose(nothing, np.zeros((2, 5, 5)))
 
 
 def double_integrator() -> OptimalControlProblem:
