@@ -1,7 +1,7 @@
 """Programs that other processes have compiled, found without tracing them.
 
-A first solve spends half its time on tracing and lowering where XLA's part is in JAX's
-persistent cache, which wants to see the lowered program first.
+JAX's persistent cache wants to see the lowered program first. Where it has XLA's part,
+tracing and lowering are most of a first solve.
 """
 
 import contextlib
@@ -26,17 +26,18 @@ from ._pickling import pickled
 from ._types import PyTree
 from ._writing import write_bytes
 
-# Told to JAX's listeners when a program is read.
+# What JAX's listeners are told when a program is read.
 LOADING = "/jaxscp/load_program_duration"
-# What it tells when it has compiled a program and put it into its cache.
+# What JAX tells them when it has compiled a program and put it into its cache.
 _MISS = "/jax/compilation_cache/cache_misses"
 # A megabyte each.
 _MOST_FILES = 100
-_found: dict[str, "Program | None"] = {}
+_found: dict[str, "Program"] = {}
 
 
 class Program(NamedTuple):
-    """
+    """A function's, for arguments of some structure and shapes.
+
     - `compiled`: makes arrays of arrays.
     - `result`: what they are the arrays of.
     """
@@ -60,7 +61,6 @@ def kept_program(
     if name is None:
         return None
     if name not in _found:
-        # One that could not be kept would be compiled at every call.
         file = folder / name
         _found[name] = _load(file) or _save(file, function, arguments, options)
     return _found[name]
