@@ -25,6 +25,10 @@ from ._transcription import (
 )
 from ._types import Array, Float, Scalar
 
+# A slope this small beside how a constraint bends is none, as that of a squared norm
+# whose argument is next to zero.
+_FLAT = 1e-3
+
 
 class Scaling(eqx.Module):
     """Typical size of each quantity, in its own unit."""
@@ -129,12 +133,47 @@ def automatic_scaling(transcription: Transcription, guess: Variables) -> Scaling
     nodes = sizes.node_derivatives(transcription.linearize_nodes(guess))
     slopes = jnp.sum(jnp.abs(nodes.path_state), axis=2)
     slopes += jnp.sum(jnp.abs(nodes.path_control), axis=2) + jnp.abs(nodes.path_time)
-    path = _first_positive(jnp.max(slopes, axis=0))
+    path = _first_positive(
+        _unless_flat(jnp.max(slopes, axis=0), _path_bends(transcription, sizes, guess))
+    )
     objective = _objective_scale(transcription, sizes, guess, cost, nodes)
     watched = jnp.concatenate([sizes.state[watch.entries], path])
     return dataclasses.replace(
         sizes, path=path, between=jnp.tile(watched, parts), objective=objective
     )
+
+
+def _path_bends(
+    transcription: Transcription, sizes: Scaling, guess: Variables
+) -> Float[Array, " p"]:
+    """How far each path constraint bends away from its tangent over the ranges of the
+    variables, one after the other.
+
+    By differences: the second derivative of a norm that is smoothed tells nothing of
+    where it goes. Where a constraint is not defined so far out it counts as straight.
+    """
+    if not transcription.watch.path:
+        return jnp.zeros(0)
+    problem, n = transcription.problem, transcription.problem.state_size
+    ranges = jnp.diag(jnp.concatenate([sizes.state, sizes.control]))
+
+    def at_node(t, x, u):
+        z = jnp.concatenate([x, u])
+        ways = jnp.stack([ranges, jnp.zeros_like(ranges), -ranges])
+        values = jax.vmap(
+            jax.vmap(lambda way: problem.path(t, (z + way)[:n], (z + way)[n:]))
+        )(ways)
+        bends = jnp.abs(0.5 * (values[0] + values[2]) - values[1])
+        return jnp.sum(jnp.where(jnp.isfinite(bends), bends, 0.0), axis=0)
+
+    times = guess.final_time * transcription.fractions
+    controls = transcription.nodal_controls(guess)
+    return jnp.max(jax.vmap(at_node)(times, guess.states, controls), axis=0)
+
+
+def _unless_flat(slopes: Array, bends: Array) -> Array:
+    """Slopes, but for those that all but vanish where the guess happens to lie."""
+    return jnp.where(slopes > _FLAT * bends, slopes, bends)
 
 
 def _scale(

@@ -130,6 +130,30 @@ def test_scales_of_nothing_known():
         assert_allclose(getattr(scaling, field.name), expected, err_msg=field.name)
 
 
+def test_a_slope_that_all_but_vanishes_at_the_guess_is_no_size():
+    problem = OptimalControlProblem(
+        lambda t, x, u: u,
+        state=Bounds([-3.0], [3.0]),
+        control=Bounds([-0.5], [0.5]),
+        initial_state=Bounds.exactly([0.0]),
+        final_state=Bounds.exactly([0.0]),
+        final_time=Bounds.exactly(1.0),
+        running_cost=lambda t, x, u: u @ u,
+        path_constraints={
+            # Flat at the guess; of a smoothed norm, curved as at no other place; steep;
+            # not defined three ranges away.
+            "squared": lambda t, x, u: x[0] ** 2 - 1.0,
+            "norm": lambda t, x, u: jnp.sqrt(x[0] ** 2 + 1e-12) + u[0],
+            "steep": lambda t, x, u: 2.0 * u[0] + 0.1 * u[0] ** 2,
+            "root": lambda t, x, u: jnp.sqrt(1.0 + x[0]),
+        },
+    )
+    rest = Variables(jnp.full((NODES, 1), 1e-9), jnp.zeros((INTERVALS, 1)), jnp.ones(()))
+    scaling = scaling_of(transcribed(problem), rest)
+    # Sorted by name. That of the norm is its control's 0.5 and 1e-3 of its state's range.
+    assert_allclose(scaling.path, [0.503, 1.5, 9.0, 1.0], rtol=1e-6)
+
+
 def test_multipliers_are_worth_the_same():
     """What the Lagrangian adds to the cost, in other units."""
     name, draw = "first-order-between", np.random.default_rng(1).normal

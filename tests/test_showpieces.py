@@ -24,3 +24,14 @@ def test_a_landing_under_limits_on_the_norm_of_thrust():
     assert np.sum(~at_a_limit) <= 2
     assert np.all(thrust > landings.LEAST - 1)
     assert np.all(thrust < landings.MOST + 1)
+
+
+def test_a_landing_with_an_attitude():
+    problem, guess, discretization, _ = landings.landing_6dof()
+    solution = jaxscp.solve(problem, guess, discretization=discretization)
+    # The guess hardly turns: the limit of the turning rate, squared, is flat there.
+    assert bool(solution.polished)
+    assert jaxscp.verify(problem, solution, between=True).verified
+    assert float(solution.objective) == pytest.approx(-1.5756948, abs=1e-6)
+    turning = np.asarray(solution.trajectory.states[:, 11:14])
+    assert np.linalg.norm(turning, axis=1).max() < landings.TURN + 1e-6
