@@ -16,8 +16,7 @@ from jaxscp import Bounds, OptimalControlProblem
 from .showpiece_problems import SHORTEST, Showpiece, line, turned, turning
 
 ZERO_ORDER = jaxscp.Discretization(between=2)
-# With two parts an interval no trial of the 6-DoF landing converged (README.md).
-ONE_PART = jaxscp.Discretization(jaxscp.FirstOrderHold(), between=1)
+FIRST_ORDER = jaxscp.Discretization(jaxscp.FirstOrderHold(), between=2)
 
 
 def norm(vector, tip: float):
@@ -143,7 +142,7 @@ def landing_6dof(nodes: int = 5) -> Showpiece:
     )
     states = ([*start, 0.0, 0.0, 0.0, 1.0, *spin], [1.5, *rest])
     guess = line(states, ([2.0, 0.0, 0.0], [1.0, 0.0, 0.0]), 10.0, nodes)
-    return Showpiece(problem, guess, ONE_PART)
+    return Showpiece(problem, guess, FIRST_ORDER)
 
 
 def _rocket_mass_lost(t_f, x_f):
