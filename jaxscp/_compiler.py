@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 import equinox as eqx
 import jax
 
-from ._cache import whole_programs
 from ._kept import kept_program
 from ._tree import as_parameters
 from ._types import is_concrete
@@ -58,7 +57,7 @@ def compiled(function: Callable[..., _R]) -> Callable[..., _R]:
     @functools.wraps(function)
     def call(*arguments: Any) -> _R:
         alone = is_concrete(eqx.filter(arguments, eqx.is_array))
-        if alone and whole_programs() is not None:
+        if alone:
             kept = kept_program(function, arguments, compiler_options())
             if kept is not None:
                 return kept(arguments)

@@ -5,7 +5,6 @@ configured. Where all code is jaxscp's own, or of the libraries that it is built
 is installed tells it. A user's function may read whatever it likes: nothing tells that.
 """
 
-import dataclasses
 import functools
 import hashlib
 import os
@@ -20,6 +19,7 @@ import jaxlib
 import numpy as np
 
 from ._cache import processor
+from ._packed import Packed
 from ._pickling import packages_in, pickled_by_value
 from ._types import PyTree
 
@@ -32,32 +32,6 @@ _KNOWN = {_OWN, *_LIBRARIES, *_MAKERS}
 _READ = ("EQX_", "XLA_")
 
 
-@dataclasses.dataclass(frozen=True)
-class Slot:
-    """Stands where an array is."""
-
-    shape: tuple[int, ...]
-    dtype: str
-    weak: bool
-
-
-def with_slots(tree: PyTree) -> PyTree:
-    """The tree without the numbers of its arrays."""
-
-    def slot(leaf: Any) -> Any:
-        if not eqx.is_array(leaf):
-            return leaf
-        return Slot(leaf.shape, str(leaf.dtype), leaf.weak_type)
-
-    return jax.tree.map(slot, tree)
-
-
-def filled(tree: PyTree, arrays: list[jax.Array]) -> PyTree:
-    """A tree with arrays for its slots, in order."""
-    left = iter(arrays)
-    return jax.tree.map(lambda leaf: next(left) if isinstance(leaf, Slot) else leaf, tree)
-
-
 def fingerprint(
     function: Callable, arguments: PyTree, options: dict[str, Any]
 ) -> str | None:
@@ -67,8 +41,13 @@ def fingerprint(
     name, installed = (function.__module__, function.__qualname__), _installed()
     if name[0].partition(".")[0] != _OWN or installed is None:
         return None
+    packed = Packed.of(arguments)
+    shapes = [
+        None if each is None else (each.shape, str(each.dtype), each.weak_type)
+        for each in packed.arrays
+    ]
     try:
-        told = pickled_by_value(with_slots(arguments))
+        told = pickled_by_value((shapes, packed.others, packed.structure))
     except Exception:
         # Nearly every kind: functions without a name of their own cannot be pickled.
         return None

@@ -14,14 +14,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.monitoring
 from jax.experimental import serialize_executable
 
 from ._cache import whole_programs
-from ._fingerprint import filled, fingerprint, with_slots
+from ._fingerprint import fingerprint
 from ._host import called_by, register
+from ._packed import Packed
 from ._pickling import pickled
 from ._types import PyTree
 from ._writing import write_bytes
@@ -39,15 +39,16 @@ class Program(NamedTuple):
     """A function's, for arguments of some structure and shapes.
 
     - `compiled`: makes arrays of arrays.
-    - `result`: what they are the arrays of.
+    - `others`, `structure`: of the result, as in [`Packed`][].
     """
 
     compiled: jax.stages.Compiled
-    result: PyTree
+    others: tuple[Any, ...]
+    structure: jax.tree_util.PyTreeDef
 
     def __call__(self, arguments: PyTree) -> PyTree:
-        arrays = jax.tree.leaves(eqx.filter(arguments, eqx.is_array))
-        return filled(self.result, self.compiled(*arrays))
+        arrays = self.compiled(Packed.of(arguments).arrays)
+        return Packed(arrays, self.others, self.structure).unpack()
 
 
 def kept_program(
@@ -82,27 +83,26 @@ def _load(file: Path) -> Program | None:
         return None
     taken = time.perf_counter() - begun
     jax.monitoring.record_event_duration_secs(LOADING, taken)
-    return Program(compiled, result)
+    return Program(compiled, *result)
 
 
 def _save(
     file: Path, function: Callable, arguments: PyTree, options: dict[str, Any]
 ) -> Program:
-    arrays, others = eqx.partition(arguments, eqx.is_array)
-    leaves, tree = jax.tree.flatten(arrays)
-    results = []
+    given, results = Packed.of(arguments), []
 
-    def program(*leaves):
-        found = function(*eqx.combine(jax.tree.unflatten(tree, leaves), others))
-        results.append(with_slots(found))
-        return jax.tree.leaves(eqx.filter(found, eqx.is_array))
+    def program(arrays):
+        arguments = Packed(arrays, given.others, given.structure).unpack()
+        found = Packed.of(function(*arguments))
+        results.append((found.others, found.structure))
+        return found.arrays
 
     # In JAX's cache it is not the same as before something changed that it is named for.
     program.__name__ = f"{function.__name__}_{file.name[:16]}"
-    lowered = jax.jit(program, compiler_options=options).lower(*leaves)
+    lowered = jax.jit(program, compiler_options=options).lower(given.arrays)
     with _Misses() as misses:
         compiled = lowered.compile()
-    made = Program(compiled, results[0])
+    made = Program(compiled, *results[0])
     if misses.count:
         # Without a file it serves this process all the same.
         with contextlib.suppress(Exception):
@@ -112,7 +112,8 @@ def _save(
 
 def _write(file: Path, made: Program, on_host: dict[str, Callable]) -> None:
     executable = serialize_executable.serialize(made.compiled)
-    content = zlib.compress(pickled((executable, made.result, on_host)), 1)
+    result = (made.others, made.structure)
+    content = zlib.compress(pickled((executable, result, on_host)), 1)
     file.parent.mkdir(parents=True, exist_ok=True)
     write_bytes(file, content)
     files = sorted(file.parent.iterdir(), key=lambda each: each.stat().st_mtime)

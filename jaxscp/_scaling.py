@@ -158,12 +158,13 @@ def _path_bends(
     ranges = jnp.diag(jnp.concatenate([sizes.state, sizes.control]))
 
     def at_node(t, x, u):
-        z = jnp.concatenate([x, u])
-        ways = jnp.stack([ranges, jnp.zeros_like(ranges), -ranges])
-        values = jax.vmap(
-            jax.vmap(lambda way: problem.path(t, (z + way)[:n], (z + way)[n:]))
-        )(ways)
-        bends = jnp.abs(0.5 * (values[0] + values[2]) - values[1])
+        def path(z):
+            return problem.path(t, z[:n], z[n:])
+
+        here = jnp.concatenate([x, u])
+        ahead = jax.vmap(path)(here[None] + ranges)
+        behind = jax.vmap(path)(here[None] - ranges)
+        bends = jnp.abs(0.5 * (ahead + behind) - path(here)[None])
         return jnp.sum(jnp.where(jnp.isfinite(bends), bends, 0.0), axis=0)
 
     times = guess.final_time * transcription.fractions

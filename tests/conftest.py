@@ -47,6 +47,16 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("jaxscp")
 
 
+@pytest.fixture
+def cache_restored():
+    """JAX's settings of its cache come back, whatever a test makes of them."""
+    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+    before = {name: getattr(jax.config, name) for name in names}
+    yield
+    for name, value in before.items():
+        jax.config.update(name, value)
+
+
 @pytest.fixture(autouse=True)
 def nothing_is_kept(monkeypatch):
     """Commands that a test runs keep programs. Another test may change what is traced."""

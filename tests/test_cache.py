@@ -14,15 +14,10 @@ from jaxscp._cache import compile_in_turn, keep_programs
 
 
 @pytest.fixture(autouse=True)
-def no_folder_chosen(tmp_path, monkeypatch):
+def no_folder_chosen(tmp_path, monkeypatch, cache_restored):
     """As for a user who has set nothing; what the tests' process uses comes back."""
-    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
-    before = {name: getattr(jax.config, name) for name in names}
-    jax.config.update(names[0], None)
+    jax.config.update("jax_compilation_cache_dir", None)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    yield
-    for name, value in before.items():
-        jax.config.update(name, value)
 
 
 def folder() -> Path:

@@ -26,17 +26,13 @@ solved_by = _run.__wrapped__
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(tmp_path, monkeypatch, cache_restored):
     """A fresh one, which programs are kept in."""
-    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
-    before = {name: getattr(jax.config, name) for name in names}
     monkeypatch.setattr(_kept, "_found", {})
     # JAX looks once where its own cache is.
     compilation_cache.reset_cache()
     jaxscp.keep_programs(tmp_path)
     yield tmp_path / "jaxscp"
-    for name, value in before.items():
-        jax.config.update(name, value)
     compilation_cache.reset_cache()
 
 
