@@ -79,7 +79,7 @@ def _load(file: Path) -> Program | None:
         compiled = serialize_executable.deserialize_and_load(*executable)
         os.utime(file)
     except Exception:
-        # No such file, a damaged one, or XLA refuses it: it is compiled and written anew.
+        # No such file, a damaged one, or XLA refuses it: it is compiled anew.
         return None
     taken = time.perf_counter() - begun
     jax.monitoring.record_event_duration_secs(LOADING, taken)
