@@ -24,11 +24,12 @@ _NODE_SHARE = 0.02
 class Peaks(eqx.Module):
     """The largest values of what is watched, in each part of the interval.
 
-    - `steps`: the substep each lies in.
+    - `steps`: the substep each lies in. `shares`: and where in that.
     """
 
     values: Float[Array, "parts e"]
     steps: Array
+    shares: Float[Array, "parts e"]
 
 
 class Course(eqx.Module):
@@ -179,7 +180,9 @@ class Flow(eqx.Module):
         """The course before the first step."""
         parts = self.discretization.between
         flat = jnp.full((parts, self.watch.size), -jnp.inf)
-        return Course(x, jnp.zeros(self.sums), Peaks(flat, jnp.zeros(flat.shape, int)))
+        nowhere = jnp.zeros(flat.shape)
+        peaks = Peaks(flat, nowhere.astype(int), nowhere)
+        return Course(x, jnp.zeros(self.sums), peaks)
 
     def advance(self, span: Span, index: Array, course: Course) -> Course:
         """The course after one more step."""
@@ -200,6 +203,7 @@ class Flow(eqx.Module):
         return Peaks(
             jnp.where(higher, values[None], peaks.values),
             jnp.where(higher, index, peaks.steps),
+            jnp.where(higher, jax.lax.stop_gradient(shares)[None], peaks.shares),
         )
 
     def along(

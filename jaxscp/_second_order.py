@@ -55,8 +55,12 @@ def interval_hessian(
     def backward(count, carry):
         costate, hessian = carry
         index = flow.substeps - 1 - count
-        push = jnp.sum(jnp.where(course.peaks.steps == index, pushes, 0.0), axis=0)
-        one = _StepHessian(flow, variables, index, weights.at[:n].set(costate), push)
+        here = course.peaks.steps == index
+        # No two parts have a peak in the same step.
+        push = jnp.sum(jnp.where(here, pushes, 0.0), axis=0)
+        shares = jnp.sum(jnp.where(here, course.peaks.shares, 0.0), axis=0)
+        own = weights.at[:n].set(costate)
+        one = _StepHessian(flow, variables, index, own, push, shares)
         gradient, curved, slopes = one(v.at[:n].set(starts[index]))
         # Controls and flight time pass through every step unchanged.
         through = jnp.concatenate([slopes, jnp.eye(v.size)[n:]])
@@ -90,7 +94,8 @@ class _Variables(eqx.Module):
 class _StepHessian(eqx.Module):
     """Gradient and Hessian of a weighted sum of what one step ends with.
 
-    - `weights`: of the state and the growth at its end. `push`: of what is watched.
+    - `weights`: of the state and the growth at its end.
+    - `push`: of what is watched. `shares`: of the step, where each peak lies.
     """
 
     flow: Flow
@@ -98,23 +103,23 @@ class _StepHessian(eqx.Module):
     index: Array
     weights: Float[Array, " w"]
     push: Float[Array, " e"]
+    shares: Float[Array, " e"]
 
     def __call__(self, v: Float[Array, " v"]) -> tuple[Array, Array, Array]:
         """Gradient, Hessian, and the Jacobian of the state at the end."""
         flow, (span, x) = self.flow, self.variables.unpack(v)
         step = flow.step(span, self.index, x)
-        shares = self._shares(span, step)
         none = jnp.zeros_like(step.slopes)
-        gradient, kappa = jax.grad(self._sum, argnums=(0, 1))(v, none, shares)
+        gradient, kappa = jax.grad(self._sum, argnums=(0, 1))(v, none)
 
         def followed(v):
             span, x = self.variables.unpack(v)
             step = flow.step(span, self.index, x)
             points, slopes = step.stages, jnp.zeros(0)
             if self.push.size:
-                inner = flow.path_points(span, self.index, step, shares)
+                inner = flow.path_points(span, self.index, step, self.shares)
                 points = jnp.concatenate([points, inner])
-                slopes = self._slope(span, step, shares)
+                slopes = self._slope(span, step)
             return step.ending, points, jnp.vdot(kappa, step.slopes), slopes
 
         (_, points, _, _), (by_v, tangents, moved, tilts) = jax.vmap(
@@ -128,30 +133,25 @@ class _StepHessian(eqx.Module):
         if self.push.size:
             if self.flow.watch.path:
                 hessian += self._of_peaks(points[4:], tangents[4:])
-            hessian += self._of_moments(span, step, shares, tilts)
+            hessian += self._of_moments(span, step, tilts)
         return gradient, hessian, by_v
 
-    def _shares(self, span: Span, step: Step) -> Float[Array, " e"]:
-        if not self.push.size:
-            return jnp.zeros(0)
-        return self.flow.peak_shares(span, self.index, step)
-
-    def _sum(self, v, nudges, shares) -> Scalar:
+    def _sum(self, v, nudges) -> Scalar:
         span, x = self.variables.unpack(v)
         step = self.flow.step(span, self.index, x, nudges=nudges)
         total = self.weights[: x.size] @ step.ending
         if self.flow.gathers:
             total += self.weights[x.size :] @ step.growth
         if self.push.size:
-            total += self.push @ self.flow.watched(span, self.index, step, shares)
+            total += self.push @ self.flow.watched(span, self.index, step, self.shares)
         return total
 
-    def _slope(self, span: Span, step: Step, shares: Array) -> Float[Array, " e"]:
+    def _slope(self, span: Span, step: Step) -> Float[Array, " e"]:
         """Derivative of each watched quantity by its share of the step."""
         return jax.jvp(
             lambda shares: self.flow.watched(span, self.index, step, shares),
-            (shares,),
-            (jnp.ones_like(shares),),
+            (self.shares,),
+            (jnp.ones_like(self.shares),),
         )[1]
 
     def _of_stages(self, kappa, points, tangents) -> Float[Array, "v v"]:
@@ -179,9 +179,9 @@ class _StepHessian(eqx.Module):
         hessians = jax.vmap(curved)(points, jnp.arange(pushes.size), pushes)
         return _summed(hessians, tangents[:, bent.entries])
 
-    def _of_moments(self, span, step, shares, tilts) -> Float[Array, "v v"]:
+    def _of_moments(self, span, step, tilts) -> Float[Array, "v v"]:
         slope, bend = derivatives(
-            lambda shares: self.flow.watched(span, self.index, step, shares), shares
+            lambda shares: self.flow.watched(span, self.index, step, shares), self.shares
         )
         inner = inner_peaks(slope, bend)
         gain = jnp.where(inner, -self.push / jnp.where(inner, bend, 1.0), 0.0)
@@ -190,4 +190,9 @@ class _StepHessian(eqx.Module):
 
 def _summed(hessians: Float[Array, "s e e"], tangents: Float[Array, "s e v"]) -> Array:
     """Curvatures at several points, seen along what they move by."""
-    return jnp.einsum("sew,sef,sfv->wv", tangents, hessians, tangents)
+    # The few entries one after the other, all columns at once: a matrix product for each
+    # point takes longer.
+    bent = jnp.zeros_like(tangents)
+    for entry in range(tangents.shape[1]):
+        bent += hessians[:, :, entry, None] * tangents[:, None, entry]
+    return jnp.einsum("sew,sev->wv", tangents, bent)
