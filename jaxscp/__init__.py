@@ -83,6 +83,12 @@ _NAMES = {
 }
 _HOMES = {name: home for home, names in _NAMES.items() for name in names}
 
+# What `from jaxscp import *` brings is all of it.
+__all__ = sorted(
+    {*_MODULES, *_HOMES, *(name for name in globals() if not name.startswith("_"))}
+    - {"Any", "TYPE_CHECKING", "importlib"}
+)
+
 
 def __getattr__(name: str) -> Any:
     if name in _MODULES:
@@ -95,4 +101,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_MODULES, *_HOMES})
+    return sorted({*globals(), *__all__})

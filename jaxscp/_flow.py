@@ -180,8 +180,7 @@ class Flow(eqx.Module):
         """The course before the first step."""
         parts = self.discretization.between
         flat = jnp.full((parts, self.watch.size), -jnp.inf)
-        nowhere = jnp.zeros(flat.shape)
-        peaks = Peaks(flat, nowhere.astype(int), nowhere)
+        peaks = Peaks(flat, jnp.zeros(flat.shape, int), jnp.zeros(flat.shape))
         return Course(x, jnp.zeros(self.sums), peaks)
 
     def advance(self, span: Span, index: Array, course: Course) -> Course:

@@ -30,6 +30,13 @@ def test_every_name_is_found_when_it_is_asked_for(name):
     assert getattr(jaxscp, name).__name__ in {name, f"jaxscp.{name}"}
 
 
+def test_a_star_brings_every_name():
+    brought = {}
+    exec("from jaxscp import *", brought)
+    assert {*for_type_checkers(), "solve", "verify", "Bounds"} <= set(brought)
+    assert "importlib" not in brought
+
+
 def test_what_a_solve_does_without_is_imported_later():
     code = (
         "import sys, jaxscp\n"
