@@ -4,7 +4,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ._tree import constant
+from ._tree import as_floats, constant
 from ._types import Array, ArrayLike, Float, is_concrete
 
 
@@ -46,12 +46,15 @@ class Bounds(eqx.Module):
         limited: tuple[tuple[bool, ...], tuple[bool, ...]] | None = None,
     ):
         same = lower is upper
-        low, high = jnp.broadcast_arrays(_inexact(lower), _inexact(upper))
+        low, high = as_floats(lower), as_floats(upper)
+        # `jnp.broadcast_arrays` would be compiled for shapes that are the same, too.
+        shape = np.broadcast_shapes(low.shape, high.shape)
+        low, high = jnp.broadcast_to(low, shape), jnp.broadcast_to(high, shape)
         self.lower, self.upper = low, high
         if scale is None:
             self.scale = None
         else:
-            self.scale = jnp.broadcast_to(_inexact(scale), low.shape)
+            self.scale = jnp.broadcast_to(as_floats(scale), low.shape)
         # What is fixed or has a limit can be told while derivatives are taken, too.
         low, high = constant((low, high))
         if fixed is not None:
@@ -97,13 +100,13 @@ class Bounds(eqx.Module):
     @classmethod
     def exactly(cls, value: ArrayLike, *, scale: ArrayLike | None = None) -> "Bounds":
         """Every entry fixed to `value`, which may be traced."""
-        value = _inexact(value)
+        value = as_floats(value)
         return cls(value, value, scale=scale, fixed=(True,) * value.size)
 
     @classmethod
     def free(cls, size: int, *, scale: ArrayLike | None = None) -> "Bounds":
         """`size` entries without limits."""
-        return cls(jnp.full(size, -jnp.inf), jnp.full(size, jnp.inf), scale=scale)
+        return cls(np.full(size, -np.inf), np.full(size, np.inf), scale=scale)
 
     @classmethod
     def at_least(cls, lower: ArrayLike, *, scale: ArrayLike | None = None) -> "Bounds":
@@ -160,11 +163,6 @@ class Bounds(eqx.Module):
             for limit in (self.lower, self.upper)
         )
         return jnp.clip(value, low, high)
-
-
-def _inexact(value: ArrayLike) -> Array:
-    # A weakly typed array, as of a Python number, would compile anew.
-    return jnp.asarray(value, float)
 
 
 def _finite(limit: Array) -> tuple[bool, ...]:

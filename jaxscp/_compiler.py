@@ -17,9 +17,10 @@ _R = TypeVar("_R")
 # On the CPU a solve compiles in less than half the time, and runs as fast, with XLA's
 # older emitters of kernels, fewer optimizations of these, and sums and maxima by one loop
 # each: as trees of loops one takes the compiler 24 ms instead of 4.
+_LEVEL = "xla_backend_optimization_level"
 _OPTIONS = {
     "xla_cpu_use_fusion_emitters": False,
-    "xla_backend_optimization_level": 1,
+    _LEVEL: 1,
     "xla_disable_hlo_passes": "tree_reduction_rewriter",
 }
 
@@ -42,28 +43,54 @@ def compiler_options() -> dict[str, Any]:
 
 
 def compiled(function: Callable[..., _R]) -> Callable[..., _R]:
-    """`eqx.filter_jit`, with [`compiler_options`][] unless an argument is traced: only
-    what is compiled by itself may have options of its own.
-    """
+    """`eqx.filter_jit`, with [`compiler_options`][], and kept whole where it can be.
 
-    @functools.cache
-    def program(alone: bool) -> Callable[..., _R]:
-        # Equinox passes on what its signature does not name.
-        options: dict[str, Any] = (
-            {"compiler_options": compiler_options()} if alone else {}
-        )
-        return eqx.filter_jit(function, **options)
+    Not where an argument is traced: only what is compiled by itself may have options of
+    its own.
+    """
+    program = _with_options(function, compiler_options)
 
     @functools.wraps(function)
     def call(*arguments: Any) -> _R:
-        alone = is_concrete(eqx.filter(arguments, eqx.is_array))
-        if alone:
+        if _is_alone(arguments):
             kept = kept_program(function, arguments, compiler_options())
             if kept is not None:
                 return kept(arguments)
-        return program(alone)(*arguments)
+        return program(*arguments)
 
     return call
+
+
+def compiled_quickly(function: Callable[..., _R]) -> Callable[..., _R]:
+    """`eqx.filter_jit` without optimization, which takes longer than it gains where a
+    program runs once.
+    """
+    return _with_options(function, _quick_options)
+
+
+def _with_options(
+    function: Callable[..., _R], options: Callable[[], dict[str, Any]]
+) -> Callable[..., _R]:
+    @functools.cache
+    def program(alone: bool) -> Callable[..., _R]:
+        # Equinox passes on what its signature does not name.
+        named: dict[str, Any] = {"compiler_options": options()} if alone else {}
+        return eqx.filter_jit(function, **named)
+
+    @functools.wraps(function)
+    def call(*arguments: Any) -> _R:
+        return program(_is_alone(arguments))(*arguments)
+
+    return call
+
+
+def _is_alone(arguments: tuple[Any, ...]) -> bool:
+    return is_concrete(eqx.filter(arguments, eqx.is_array))
+
+
+def _quick_options() -> dict[str, Any]:
+    options = compiler_options()
+    return {name: 0 if name == _LEVEL else value for name, value in options.items()}
 
 
 def traced_once(function: Callable[..., _R]) -> Callable[..., _R]:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ._bounds import Bounds
 from ._records import unknown_path
+from ._tree import as_floats
 from ._types import Array, ArrayLike, PyTree
 
 
@@ -75,7 +76,7 @@ def _name(path: tuple[Any, ...]) -> str:
 
 
 def _broadcast(name: str, change: ArrayLike, like: Array) -> Array:
-    change = jnp.asarray(change, float)
+    change = as_floats(change)
     try:
         return jnp.broadcast_to(change, like.shape)
     except ValueError:

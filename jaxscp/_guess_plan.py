@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from ._compiler import compiled_quickly
 from ._routes import Routes
 from ._trajectory import Trajectory
 from ._types import Array, Float, Scalar
@@ -173,7 +174,7 @@ class GuessPlan(eqx.Module):
             seconds.append(part / jnp.where(speed > 0.0, speed, 1.0))
         return jnp.concatenate(seconds)
 
-    @eqx.filter_jit
+    @compiled_quickly
     def fly(
         self,
         flight: Flight,
@@ -194,7 +195,7 @@ class GuessPlan(eqx.Module):
             final_time=total,
         )
 
-    @eqx.filter_jit
+    @compiled_quickly
     def grid(self, flight: Flight, even: Float[Array, " N"]) -> Float[Array, " N"]:
         """Evenly spaced node fractions, redistributed as `transit_share` says."""
         _, legs, stays = flight

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._bounds import Bounds
+from ._compiler import compiled_quickly
 from ._flight_state import (
     ALTITUDE,
     CONTROL_UNITS,
@@ -187,7 +188,7 @@ class Mission(eqx.Module):
         known = is_concrete(figures.lengths)
         count = int(np.isfinite(figures.lengths).sum()) if known else 1
         return tuple(
-            self.plan.fly(flight, fractions, self.vehicle.hover_control)
+            self.plan.fly(flight, fractions, figures.hover)
             for flight in figures.flights[: min(count, most)]
         )
 
@@ -211,13 +212,14 @@ class _Figures(NamedTuple):
     control: tuple[Array, Array]
     final_time: tuple[Scalar, Scalar]
     ends: tuple[Float[Array, "12"], Float[Array, "12"]]
+    hover: Float[Array, "4"]
     lengths: Float[Array, " r"]
     flights: tuple[Flight, ...]
     expected_time: Scalar
 
 
 # In one piece: each of these small operations, alone, would be compiled by itself.
-@eqx.filter_jit
+@compiled_quickly
 def _figures(mission: Mission) -> _Figures:
     floor = -jnp.inf if mission.altitude_floor is None else mission.altitude_floor
     tilt = mission.limits.tilt
@@ -238,6 +240,7 @@ def _figures(mission: Mission) -> _Figures:
         control=(-most.at[0].set(0.0), most),
         final_time=tuple(mission.final_time_range),
         ends=(at_rest(mission.start), at_rest(mission.goal)),
+        hover=mission.vehicle.hover_control,
         lengths=lengths,
         flights=flights,
         # That of the shortest.

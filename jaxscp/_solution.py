@@ -18,6 +18,7 @@ from ._status import Status, has_converged
 from ._step import Span
 from ._trajectory import Trajectory
 from ._transcription import Transcription
+from ._tree import as_floats
 from ._types import Array, ArrayLike, Float, Scalar, is_concrete
 
 
@@ -140,7 +141,7 @@ class Solution(eqx.Module):
 
         **Raises:** `ValueError` if a moment lies outside the flight.
         """
-        moments = jnp.asarray(times, float)
+        moments = as_floats(times)
         fractions = moments / self.trajectory.final_time
         if is_concrete(fractions) and fractions.size:
             first, last = float(jnp.min(fractions)), float(jnp.max(fractions))

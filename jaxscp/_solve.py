@@ -21,7 +21,7 @@ from ._smoothing import check_smoothing
 from ._solution import Solution, check_polished
 from ._trajectory import Trajectory, straight_line
 from ._transcription import Transcription
-from ._tree import as_parameters, constant, is_differentiated
+from ._tree import as_array, as_floats, as_parameters, constant, is_differentiated
 from ._types import Array, ArrayLike, Scalar, is_concrete
 from ._validation import check_guesses, check_precision, check_problem
 
@@ -114,7 +114,7 @@ def solve(
     solution = _best(method, transcription, constant(guesses), tau, listener(progress))
     if is_concrete(solution.optimality):
         jax.block_until_ready(solution.optimality)
-        elapsed = jnp.asarray(time.perf_counter() - begun)
+        elapsed = as_floats(time.perf_counter() - begun)
         solution = eqx.tree_at(lambda s: s.statistics.seconds, solution, elapsed)
         if throw and not bool(solution.converged):
             raise SolveError(constant(solution))
@@ -136,7 +136,7 @@ def _best(
     """The best of what the guesses lead to, all through one compiled program."""
 
     def attempt(index, guess):
-        index = jnp.asarray(index)
+        index = jnp.asarray(as_array(index), int)
         if transcription.discretization.interval_ratio is None:
             return _from(method, transcription, guess, smoothing, index, told)
         paced = lifted(transcription, guess)

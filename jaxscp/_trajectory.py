@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ._problem import OptimalControlProblem
+from ._tree import as_floats
 from ._types import Array, ArrayLike, Float, Scalar, is_concrete
 
 
@@ -42,8 +43,8 @@ def time_grid(nodes: int | ArrayLike) -> Float[Array, " N"]:
     if isinstance(nodes, (int, np.integer)):
         if nodes < 2:
             raise ValueError(f"nodes={nodes}: a grid needs at least 2 nodes.")
-        return jnp.linspace(0.0, 1.0, int(nodes))
-    fractions = jnp.asarray(nodes, float)
+        return as_floats(np.linspace(0.0, 1.0, int(nodes)))
+    fractions = as_floats(nodes)
     if fractions.ndim != 1 or fractions.size < 2:
         raise ValueError(
             f"nodes has shape {fractions.shape}: give a number of nodes, or a vector of "
@@ -123,14 +124,14 @@ def through_waypoints(
     **Raises:** `ValueError` on wrong shapes, or if the stays exceed the flight time.
     """
     fractions = time_grid(nodes)
-    points = jnp.asarray(waypoints, float)
+    points = as_floats(waypoints)
     if points.ndim != 2 or points.shape[0] < 2 or points.shape[1] != problem.state_size:
         raise ValueError(
             f"waypoints has shape {points.shape}: give at least two states of "
             f"{problem.state_size} entries, first and last included."
         )
     total = _flight_time(problem, final_time)
-    stays = jnp.zeros(points.shape[0]) if loiter is None else jnp.asarray(loiter, float)
+    stays = jnp.zeros(points.shape[0]) if loiter is None else as_floats(loiter)
     if stays.shape != points.shape[:1]:
         raise ValueError(
             f"loiter has shape {stays.shape}: give the seconds to stay at each of the "
@@ -176,7 +177,7 @@ def _boundary(problem: OptimalControlProblem, side: str) -> Float[Array, " n"]:
 def _flight_time(problem: OptimalControlProblem, final_time: ArrayLike | None) -> Scalar:
     bounds = problem.final_time
     if final_time is not None:
-        return jnp.asarray(final_time, float)
+        return as_floats(final_time)
     if is_concrete(bounds.upper) and not np.isfinite(bounds.upper):
         raise ValueError(
             f"final_time is free up to {float(bounds.upper)}: give the guess a flight "
@@ -193,7 +194,7 @@ def _guessed_controls(
     size = problem.control_size
     if control is None:
         control = problem.control.clip(jnp.zeros(size))
-    values = jnp.asarray(control, float)
+    values = as_floats(control)
     if values.shape not in {(size,), (2, size)}:
         raise ValueError(
             f"control has shape {values.shape}: give one control of {size} entries, or "

@@ -7,12 +7,27 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._types import Array, PyTree, is_concrete
+from ._types import Array, ArrayLike, PyTree, is_concrete
 
 
 def tree_where(condition: Array, yes, no):
     """One tree or the other, leaf by leaf."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), yes, no)
+
+
+def as_array(value: ArrayLike) -> Array | np.ndarray:
+    """NumPy's, of numbers and lists: JAX would compile programs to convert them."""
+    made = isinstance(value, jax.Array) or not is_concrete(value)
+    return jnp.asarray(value) if made else np.asarray(value)
+
+
+def as_floats(value: ArrayLike) -> Array:
+    """An array of floating-point numbers, none of them weakly typed."""
+    array = as_array(value)
+    if isinstance(array, np.ndarray):
+        # NumPy would take nothing, and text, for numbers.
+        array = array.astype(float, casting="same_kind")
+    return jnp.asarray(array, float)
 
 
 def as_parameters(tree: PyTree) -> PyTree:

@@ -21,7 +21,7 @@ from ._types import is_concrete
 
 def check_precision() -> None:
     """**Raises:** `RuntimeError` if JAX is not in 64-bit mode."""
-    if jnp.asarray(0.0).dtype != jnp.float64:
+    if jnp.result_type(float) != jnp.float64:
         raise RuntimeError(
             "jaxscp computes in 64 bits, and JAX is in 32-bit mode; add "
             "jax.config.update('jax_enable_x64', True) before the first array is made."

@@ -3,7 +3,6 @@
 import math
 from typing import Any, Protocol, runtime_checkable
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -27,6 +26,7 @@ from ._repropagation import (
     whole_flight,
 )
 from ._trajectory import Trajectory, time_grid
+from ._tree import as_floats
 from ._validation import check_precision
 from ._verification import Dense, Verification
 
@@ -94,8 +94,8 @@ def verify(
         at_nodes, everywhere = _violations(
             problem, nodes, dense, motion, sizes, tolerance
         )
-    last = jnp.asarray(nodes.states[-1])
-    terminal_cost = problem.terminal_cost(jnp.asarray(nodes.times[-1]), last)
+    last = as_floats(nodes.times[-1]), as_floats(nodes.states[-1])
+    terminal_cost = problem.terminal_cost(*last)
     objective = running_cost + float(terminal_cost)
     errors = np.abs(values[-1, :, : problem.state_size] - nodes.states[1:])
     allowed = interval_tolerance * motion

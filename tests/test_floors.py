@@ -129,5 +129,5 @@ def test_the_floors_hold_modules_that_exist():
 
 
 def test_imports_are_seen():
-    assert imported("_trajectory") == {"_problem", "_types"}
+    assert imported("_trajectory") == {"_problem", "_tree", "_types"}
     assert imported("models.channel") >= {"_types", "models._smooth"}

@@ -5,9 +5,9 @@ import reprlib
 from typing import Any, TypeAlias
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
+from .._tree import as_array, as_floats
 from .._types import Array, is_concrete
 
 # Numbers, nested lists of them, or arrays. Left open on purpose: `parameter` meets
@@ -42,6 +42,7 @@ def parameter(
     if array.size == 0 and shape[:1] == (None,):
         # An empty list has lost its trailing axes.
         array = array.reshape(0, *(size or 0 for size in shape[1:]))
+    array = as_floats(array)
     if len(array.shape) != len(shape) or any(
         size not in {None, found} for size, found in zip(shape, array.shape, strict=True)
     ):
@@ -67,17 +68,17 @@ def optional_parameter(name: str, value: Numbers | None, **rules) -> Array | Non
     return None if value is None else parameter(name, value, **rules)
 
 
-def _converted(name: str, value: Numbers, expected: str) -> Array:
+def _converted(name: str, value: Numbers, expected: str) -> Array | np.ndarray:
     # Python would take a truth value for a number as well.
     leaves = jax.tree.leaves(value, is_leaf=lambda leaf: leaf is None)
     numeric = not any(isinstance(leaf, (bool, str, type(None))) for leaf in leaves)
     try:
-        array = jnp.asarray(value) if numeric else None
+        array = as_array(value) if numeric else None
     except (TypeError, ValueError, OverflowError):
         array = None
     if array is None or array.dtype.kind not in "iuf":
         raise ValueError(f"{name}={reprlib.repr(value)}: give {expected}.")
-    return array.astype(float)
+    return array
 
 
 def _expected(
