@@ -19,8 +19,9 @@ class Bounds(eqx.Module):
 
     - `lower`, `upper`: limits in the quantity's own unit, broadcast against each other.
     - `scale`: typical size of the quantity, same unit, broadcast to the same shape. It
-        steers the automatic scaling of the variable and nothing else. Give it where the
-        limits do not say how large the variable becomes; NaN entries mean "automatic".
+        is the scale of the variable, and with it of errors and tolerances. Give it where
+        the limits do not say how large the variable becomes; NaN entries mean
+        "automatic".
     - `fixed`: which entries are equalities. Found from the values by default; needed
         only if bounds are made from traced values inside `jax.jit` or `jax.vmap`, where
         [`Bounds.exactly`][] is the simpler way.
@@ -143,6 +144,15 @@ class Bounds(eqx.Module):
     def is_fixed(self) -> np.ndarray:
         """Static mask of the entries that are equalities, in the bounds' shape."""
         return np.array(self.fixed, dtype=bool).reshape(self.shape)
+
+    def prevails(self, other: "Bounds") -> tuple[Array, Array]:
+        """Whether lower and upper limits of the same quantity are rather these than the
+        others: where this one is fixed, or at least as tight.
+        """
+        lower = jnp.isfinite(self.lower) & (self.lower >= other.lower)
+        upper = jnp.isfinite(self.upper) & (self.upper <= other.upper)
+        fixed = jnp.asarray(self.is_fixed)
+        return fixed | lower, fixed | upper
 
     @property
     def target(self) -> Float[Array, "*shape"]:

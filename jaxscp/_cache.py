@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import os
 import platform
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,9 @@ _FEATURES = ("model name", "flags", "Features")
 # What JAX says when it begins to compile a program, and when it has it.
 _COMPILING = "/jax/core/compile/backend_compile_duration"
 _keeps = False
+# Taken while it is settled whether programs are compiled in turn.
+_settling = threading.Lock()
+_takes_turns = False
 
 
 def keep_programs(folder: str | Path | None = None) -> None:
@@ -71,14 +75,25 @@ def compile_in_turn() -> None:
     the others, when it is their turn, find what it has kept. Without a cache, or without
     locks of files, each compiles for itself.
     """
+    global _takes_turns
     folder = getattr(jax.config, _FOLDER)
     if fcntl is None or folder is None:
         return
-    try:
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        turn = os.open(Path(folder) / "jaxscp.lock", os.O_RDWR | os.O_CREAT)
-    except OSError:
-        return
+    # Once a process: a file opened twice would keep the process from itself for good.
+    with _settling:
+        if _takes_turns:
+            return
+        try:
+            Path(folder).mkdir(parents=True, exist_ok=True)
+            turn = os.open(Path(folder) / "jaxscp.lock", os.O_RDWR | os.O_CREAT)
+        except OSError:
+            return
+        _take_turns(turn)
+        _takes_turns = True
+
+
+def _take_turns(turn: int) -> None:
+    """Lock a file while this process compiles."""
 
     # JAX tells of both in the thread that compiles, before it looks into the cache and
     # after it has written to it. A process that is killed in between lets go, too.

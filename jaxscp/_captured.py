@@ -40,12 +40,28 @@ def _captured(function: Callable, depth: int = 3) -> Iterator[tuple[str, Any]]:
         names, closure = function.__code__.co_freevars, function.__closure__ or ()
         cells = zip(names, closure, strict=True)
         held = {name: cell.cell_contents for name, cell in cells if _is_filled(cell)}
+        held |= _defaults(function)
+    elif hasattr(function, "__wrapped__"):
+        # As `jax.jit` and `functools.wraps` leave it.
+        held = {"function": function.__wrapped__}
+    elif hasattr(function, "__dict__") and not inspect.isclass(function):
+        held = vars(function)
     else:
         return
     for name, value in held.items():
         yield name, value
         if depth and callable(value):
             yield from _captured(value, depth - 1)
+
+
+def _defaults(function: Callable) -> dict[str, Any]:
+    """What arguments are if they are not given."""
+    parameters = inspect.signature(function).parameters
+    return {
+        name: each.default
+        for name, each in parameters.items()
+        if each.default is not each.empty
+    }
 
 
 def _is_filled(cell: Any) -> bool:

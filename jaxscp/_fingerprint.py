@@ -9,6 +9,7 @@ import functools
 import hashlib
 import os
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,8 @@ _MAKERS = ("_codecs", "builtins", "collections", "copyreg", "enum", "functools")
 _KNOWN = {_OWN, *_LIBRARIES, *_MAKERS}
 # Variables of the environment that are read while tracing or compiling.
 _READ = ("EQX_", "XLA_")
+# Seconds since 1970.
+_IMPORTED = time.time()
 
 
 def fingerprint(
@@ -72,7 +75,7 @@ def _settings() -> list[tuple[str, str]]:
 @functools.cache
 def _installed() -> str | None:
     """This package's sources, its libraries, Python and the processor; none without
-    sources.
+    sources, or where they are no longer those that were imported.
     """
     root = Path(__file__).parent
     sources = sorted(root.rglob("*.py"))
@@ -80,6 +83,9 @@ def _installed() -> str | None:
         return None
     digest = hashlib.sha256()
     for source in sources:
+        changed = source.stat()
+        if max(changed.st_mtime, changed.st_ctime) > _IMPORTED:
+            return None
         digest.update(f"{source.relative_to(root)}\0".encode())
         digest.update(source.read_bytes())
     digest.update(repr((_LIBRARIES, sys.version, processor())).encode())

@@ -157,7 +157,10 @@ class GuessPlan(eqx.Module):
         stays = jnp.zeros_like(legs)
         if waiting is not None:
             stays = stays.at[waiting].set(wait)
-        return legs * (total - wait) / jnp.where(moving > 0, moving, 1.0), stays
+        # On a way of no length every leg takes as long as another.
+        even = jnp.ones_like(legs).at[0].set(0.0) / lengths.size
+        shares = jnp.where(moving > 0, legs / jnp.where(moving > 0, moving, 1.0), even)
+        return shares * (total - wait), stays
 
     def _seconds(
         self, lengths: Float[Array, " l"], waiting: int | None

@@ -45,7 +45,11 @@ def is_finite(iterate: Iterate) -> Array:
     # Where there is no limit, its peak is infinitely low.
     peaks = iterate.residuals.between
     peaks = jnp.where(jnp.isneginf(peaks), 0.0, peaks)
-    tree = eqx.tree_at(lambda at: at.residuals.between, iterate, peaks)
+    # How wrong they are may be unknown: more steps are taken then.
+    known = jnp.zeros(())
+    tree = eqx.tree_at(
+        lambda at: (at.residuals.between, at.integration_error), iterate, (peaks, known)
+    )
     leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_inexact_array))
     return jnp.all(jnp.stack([jnp.all(jnp.isfinite(leaf)) for leaf in leaves]))
 
@@ -108,11 +112,12 @@ def try_step(
 ) -> Trial:
     """Evaluate the discrete problem where a subproblem's step leads."""
     variables = scaling.move(iterate.variables, solution.step)
-    # Once with the steps in force and once with half as many: as the method is of order
-    # four, their difference tells the error.
-    fine, coarse = iterate.substeps, (iterate.substeps + 1) // 2
+    # Once with the steps in force and once with half as many, or twice one: as the
+    # method is of order four, their difference tells the error.
+    steps = iterate.substeps
+    others = jnp.where(steps > 1, (steps + 1) // 2, 2)
     both = jax.vmap(transcription.evaluate, in_axes=(None, 0))(
-        variables, jnp.stack([fine, coarse])
+        variables, jnp.stack([steps, others])
     )
     residuals = scaling.residuals(jax.tree.map(lambda leaf: leaf[0], both))
     rough = scaling.residuals(jax.tree.map(lambda leaf: leaf[1], both))
@@ -120,7 +125,9 @@ def try_step(
         jnp.max(jnp.abs(residuals.defects - rough.defects)),
         jnp.max(jnp.sum(jnp.abs(residuals.increments - rough.increments), axis=0)),
     )
-    error = difference / ((fine / coarse) ** 4 - 1.0)
+    error = difference / jnp.abs((steps / others) ** 4 - 1.0)
+    # Longer steps may leave a function's domain where shorter ones do not.
+    error = jnp.where(jnp.isnan(error), jnp.inf, error)
     limits = integral_limits(transcription, scaling)
     cost = merit.cost(residuals, limits)
     # A step into a singularity is a bad step, not a broken solve.

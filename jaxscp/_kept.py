@@ -9,6 +9,7 @@ import os
 import pickle
 import threading
 import time
+import uuid
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -77,10 +78,12 @@ def _load(file: Path) -> Program | None:
         # JAX readies LAPACK for XLA when it lowers the first program that calls it.
         jax.jit(jax.lax.linalg.eigh).lower(jax.ShapeDtypeStruct((2, 2), float))
         compiled = serialize_executable.deserialize_and_load(*executable)
-        os.utime(file)
     except Exception:
         # No such file, a damaged one, or XLA refuses it: it is compiled anew.
         return None
+    # Another user's may be read all the same.
+    with contextlib.suppress(OSError):
+        os.utime(file)
     taken = time.perf_counter() - begun
     jax.monitoring.record_event_duration_secs(LOADING, taken)
     return Program(compiled, *result)
@@ -98,7 +101,9 @@ def _save(
         return found.arrays
 
     # In JAX's cache it is not the same as before something changed that it is named for.
-    program.__name__ = f"{function.__name__}_{file.name[:16]}"
+    name = f"{function.__name__}_{file.name[:16]}"
+    # Nor is it what was there when a file was written that cannot be read.
+    program.__name__ = f"{name}_{uuid.uuid4().hex}" if file.exists() else name
     lowered = jax.jit(program, compiler_options=options).lower(given.arrays)
     with _Misses() as misses:
         compiled = lowered.compile()

@@ -1,6 +1,7 @@
 """`PaperSCP`: Algorithm 1 of the paper, to the letter."""
 
 import dataclasses
+import math
 
 import equinox as eqx
 import jax
@@ -72,8 +73,13 @@ class PaperSCP(AbstractSCP):
                 f"rho_0={self.rho_0}, rho_1={self.rho_1}, rho_2={self.rho_2}: "
                 "need 0 < rho_0 < rho_1 < rho_2 < 1."
             )
-        if self.alpha <= 1:
+        if not 1.0 < self.alpha < math.inf:
             raise ValueError(f"alpha={self.alpha}: need alpha > 1.")
+        if not self.min_radius <= self.initial_radius < math.inf:
+            raise ValueError(
+                f"initial_radius={self.initial_radius}: need a number from "
+                f"min_radius={self.min_radius:g}."
+            )
 
     def init(self, transcription: Transcription, guess: Variables) -> SCPState:
         return start(
@@ -82,8 +88,7 @@ class PaperSCP(AbstractSCP):
             SubproblemSolution.none(self._structure(transcription)),
             radius=self.initial_radius,
             ceiling=self.penalty,
-            # Rejected steps are recorded too.
-            records=4 * self.max_iterations,
+            records=self._most_steps,
         )
 
     def step(self, transcription: Transcription, state: SCPState) -> SCPState:
@@ -123,6 +128,14 @@ class PaperSCP(AbstractSCP):
             reach=state.reach,
             own=judgement.accepted,
         )
+
+    @property
+    def _most_steps(self) -> int:
+        """Those taken and those rejected: each divides the radius by alpha, from where a
+        step taken has left it, multiplied at most once by that.
+        """
+        shrinking = math.log(self.initial_radius / self.min_radius, self.alpha)
+        return 2 * self.max_iterations + math.ceil(shrinking) + 1
 
     def _weights(self, transcription: Transcription, state: SCPState) -> PerConstraint:
         """The penalty under the trapezoidal sum; an integral counts once."""

@@ -1,6 +1,7 @@
 """`ProximalSCP`: the default method."""
 
 import dataclasses
+import math
 
 import equinox as eqx
 import jax
@@ -98,6 +99,12 @@ class ProximalSCP(AbstractSCP):
         if self.curvature not in ("all", "nodes", "cost"):
             raise ValueError(
                 f"curvature={self.curvature!r}: choose 'all', 'nodes' or 'cost'."
+            )
+        if not isinstance(self.max_polish, int) or self.max_polish < 0:
+            raise ValueError(f"max_polish={self.max_polish!r}: give a whole number.")
+        if not 0.0 < self.initial_weight < math.inf:
+            raise ValueError(
+                f"initial_weight={self.initial_weight!r}: give a positive number."
             )
 
     def init(self, transcription: Transcription, guess: Variables) -> SCPState:

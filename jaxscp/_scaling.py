@@ -112,7 +112,7 @@ class Scaling(eqx.Module):
 
 
 def automatic_scaling(transcription: Transcription, guess: Variables) -> Scaling:
-    """Scales from ranges: of the limits, else the boundary values, else the guess."""
+    """Scales from ranges: of the limits, else of the boundary values and the guess."""
     problem = transcription.problem
     ends = jnp.stack([problem.initial_state.target, problem.final_state.target])
     *totals, cost = transcription.rough_totals(guess)

@@ -1,6 +1,7 @@
 """What an SCP method is, the loop that runs it, and how a solve ends."""
 
 import abc
+import math
 from typing import Any
 
 import equinox as eqx
@@ -30,6 +31,16 @@ class AbstractSCP(eqx.Module):
     feasibility_tolerance: eqx.AbstractVar[float]
     min_radius: eqx.AbstractVar[float]
     max_failures: eqx.AbstractVar[int]
+
+    def __check_init__(self):
+        for name in ("max_iterations", "max_failures"):
+            count = getattr(self, name)
+            if not isinstance(count, int) or count < 1:
+                raise ValueError(f"{name}={count!r}: give a whole number above 0.")
+        for name in ("tolerance", "feasibility_tolerance", "min_radius"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{name}={value!r}: give a positive number.")
 
     @abc.abstractmethod
     def init(self, transcription: Transcription, guess: Variables) -> SCPState:
@@ -94,7 +105,7 @@ def run(
         assert listener is not None
         record = jax.tree.map(lambda h: h[state.records - 1], state.history)
         values = {name: getattr(record, name) for name in vars(record)}
-        tell(listener, attempt, state.iterations + state.polish, values)
+        tell(listener, attempt, state.records, values)
 
     def body(state: SCPState) -> SCPState:
         after = method.step(transcription, state)

@@ -113,13 +113,6 @@ def price_unit(problem: OptimalControlProblem, name: str) -> str:
     return f"{objective} / ({own})" if compound else f"{objective} / {own}"
 
 
-def owned_by_end(own: Bounds, end: Bounds) -> tuple[Array, Array]:
-    """Whether lower and upper limits at an end are its own: fixed there, or as tight."""
-    lower = jnp.isfinite(end.lower) & (end.lower >= own.lower)
-    upper = jnp.isfinite(end.upper) & (end.upper <= own.upper)
-    return jnp.logical_or(end.is_fixed, lower), jnp.logical_or(end.is_fixed, upper)
-
-
 def _prices(multiplier: Array) -> tuple[Array, Array]:
     """Of lower limits, whose multipliers are negative, and of upper ones."""
     return -jnp.minimum(multiplier, 0.0), -jnp.maximum(multiplier, 0.0)
@@ -146,7 +139,7 @@ def _of_states(solution: Solution) -> Iterator[_Row]:
         ("first ", 0, problem.initial_state),
         ("last ", -1, problem.final_state),
     ):
-        lower, upper = owned_by_end(own, end)
+        lower, upper = end.prevails(own)
         low = jnp.where(lower, below[node], 0.0)
         high = jnp.where(upper, above[node], 0.0)
         below, above = below.at[node].add(-low), above.at[node].add(-high)

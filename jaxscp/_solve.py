@@ -55,7 +55,8 @@ def solve(
     by the time grid: the objective by the envelope theorem, twice if asked; trajectory,
     integrals and multipliers by the implicit function theorem at the solution, with the
     exact Hessian of the Lagrangian. Neither unrolls the iteration. A solution does not
-    depend on its guess, nor on the scales of `Bounds`, which steer the iteration only.
+    depend on its guess, but for which of several it leads to, nor by more than
+    tolerances on the scales of `Bounds`, which all tolerances are relative to.
     Where a constraint is weakly active, its multiplier and its slack both zero, there are
     two one-sided derivatives, and one of them is returned: [`sensitivity_report`][] has
     both. With `smoothing` a mean of both is.
@@ -118,7 +119,7 @@ def solve(
         solution = eqx.tree_at(lambda s: s.statistics.seconds, solution, elapsed)
         if throw and not bool(solution.converged):
             raise SolveError(constant(solution))
-        if is_differentiated(problem):
+        if is_differentiated(transcription):
             check_polished(constant(solution))
         return solution
     if throw:

@@ -13,7 +13,8 @@ class Status(eqx.Enumeration):
     )
     converged_roughly = (
         "Converged to a feasible point that no step improves; the optimality conditions "
-        "do not hold to tolerance. Raise max_polish if they should."
+        "do not hold to tolerance, or are not known. If they should hold, raise "
+        "ProximalSCP's max_polish."
     )
     iteration_limit = (
         "The iteration limit was reached before convergence. Raise max_iterations, or "

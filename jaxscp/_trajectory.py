@@ -18,10 +18,10 @@ class Trajectory(eqx.Module):
     - `final_time`: flight time T [s].
     """
 
-    fractions: Float[Array, " N"]
-    states: Float[Array, "N n"]
-    controls: Float[Array, "N m"]
-    final_time: Scalar
+    fractions: Float[Array, " N"] = eqx.field(converter=as_floats)
+    states: Float[Array, "N n"] = eqx.field(converter=as_floats)
+    controls: Float[Array, "N m"] = eqx.field(converter=as_floats)
+    final_time: Scalar = eqx.field(converter=as_floats)
 
     @property
     def times(self) -> Float[Array, " N"]:

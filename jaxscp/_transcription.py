@@ -158,9 +158,12 @@ class Transcription(eqx.Module):
         lower = jnp.broadcast_to(problem.state.lower, shape)
         upper = jnp.broadcast_to(problem.state.upper, shape)
         for node, bounds in ((0, problem.initial_state), (-1, problem.final_state)):
-            target, fixed = bounds.target, bounds.is_fixed
-            low = jnp.where(fixed, target, jnp.maximum(lower[node], bounds.lower))
-            high = jnp.where(fixed, target, jnp.minimum(upper[node], bounds.upper))
+            ends = [
+                jnp.where(bounds.is_fixed, bounds.target, limit)
+                for limit in (bounds.lower, bounds.upper)
+            ]
+            own = bounds.prevails(problem.state)
+            low, high = map(jnp.where, own, ends, (lower[node], upper[node]))
             lower, upper = lower.at[node].set(low), upper.at[node].set(high)
         return lower, upper
 

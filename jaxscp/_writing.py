@@ -2,6 +2,7 @@
 
 import os
 import tempfile
+import threading
 from pathlib import Path
 
 
@@ -14,7 +15,8 @@ def write_bytes(path: str | Path, content: bytes) -> None:
     if target.exists() and not target.is_file():
         target.write_bytes(content)
         return
-    partial = target.with_name(f".{target.name}.{os.getpid()}.partial")
+    writer = f"{os.getpid()}-{threading.get_ident()}"
+    partial = target.with_name(f".{target.name}.{writer}.partial")
     try:
         partial.write_bytes(content)
         os.replace(partial, target)

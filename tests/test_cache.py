@@ -2,6 +2,7 @@
 
 import functools
 import os
+import threading
 from pathlib import Path
 
 import jax
@@ -16,6 +17,7 @@ from jaxscp._cache import compile_in_turn, keep_programs
 @pytest.fixture(autouse=True)
 def no_folder_chosen(tmp_path, monkeypatch, cache_restored):
     """As for a user who has set nothing; what the tests' process uses comes back."""
+    monkeypatch.setattr(_cache, "_takes_turns", False)
     jax.config.update("jax_compilation_cache_dir", None)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
@@ -84,6 +86,23 @@ def test_one_process_compiles_at_a_time(tmp_path, monkeypatch):
     assert not another_may()
     end(event, 1.0, fun_name="f")
     assert another_may()
+
+
+def test_a_process_does_not_wait_for_itself(tmp_path, monkeypatch):
+    pytest.importorskip("fcntl")
+    listeners = []
+    for name in ("register_scalar_listener", "register_event_duration_secs_listener"):
+        monkeypatch.setattr(jax.monitoring, name, listeners.append)
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "mine"))
+    # Threads of a worker begin together, and sweeps of several clients come one by one.
+    threads = [threading.Thread(target=compile_in_turn) for _ in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path / "another"))
+    compile_in_turn()
+    assert len(listeners) == 2
 
 
 def test_jax_tells_when_it_begins_to_compile_and_when_it_ends():

@@ -233,6 +233,22 @@ def test_every_attempt_is_reported(recorded, tmp_path, capsys, monkeypatch):
     }
 
 
+def test_what_rising_data_led_to_is_written(recorded, tmp_path, monkeypatch):
+    def in_steps(*_, **__):
+        solution = recorded[2]
+        (attempt,) = solution.attempts
+        lost = dataclasses.replace(
+            attempt, status=Status.iteration_limit, chosen=jnp.asarray(False)
+        )
+        return dataclasses.replace(solution, attempts=(lost, attempt))
+
+    monkeypatch.setattr(missions, "solve", in_steps)
+    saved, drawn = tmp_path / "a.npz", tmp_path / "a.pdf"
+    assert main([*QUICK, "--save", str(saved), "--plot", str(drawn)]) == 0
+    assert saved.exists()
+    assert drawn.exists()
+
+
 def test_progress_numbers_the_attempts_after_the_first():
     numbers = dict.fromkeys(vars(History.empty(1)), 0.5)
     line = progress_line({"attempt": 1, "iteration": 1, **numbers})

@@ -156,6 +156,35 @@ class TestRefusals:
             jax.grad(cost)(2.0)
 
     @staticmethod
+    def by_default(mass):
+        def dynamics(t, x, u, mass=mass):
+            return jnp.stack([x[1], u[0] / mass])
+
+        return dynamics
+
+    @staticmethod
+    def compiled(mass):
+        return jax.jit(lambda t, x, u: jnp.stack([x[1], u[0] / mass]))
+
+    class Sledge:
+        def __init__(self, mass):
+            self.mass = mass
+
+        def __call__(self, t, x, u):
+            return jnp.stack([x[1], u[0] / self.mass])
+
+    @pytest.mark.parametrize("made", [by_default, compiled, Sledge])
+    def test_wherever_it_is_held(self, made):
+        problem = textbook.minimum_energy_double_integrator()
+
+        def cost(mass):
+            changed = eqx.tree_at(lambda p: p.dynamics, problem, made(mass))
+            return jaxscp.solve(changed, nodes=7).objective
+
+        with pytest.raises(ValueError, match=r"dynamics captured 'mass'.*as a field"):
+            jax.grad(cost)(2.0)
+
+    @staticmethod
     def hurried(limit, method):
         """The flight time of a problem without a solution: there is too little time."""
         problem = textbook.minimum_time_double_integrator(1.0, limit)
@@ -170,6 +199,16 @@ class TestRefusals:
     def test_a_solution_that_is_not_polished(self, method):
         with pytest.raises(ValueError, match=r"derivatives need a solution of Prox"):
             jax.grad(self.hurried)(1.0, method)
+
+    def test_a_solution_that_is_not_polished_by_its_grid(self):
+        problem = textbook.minimum_energy_double_integrator()
+
+        def middle(nodes):
+            solution = jaxscp.solve(problem, method=jaxscp.PaperSCP(), nodes=nodes)
+            return solution.trajectory.states[3, 0]
+
+        with pytest.raises(ValueError, match=r"derivatives need a solution of Prox"):
+            jax.grad(middle)(jnp.linspace(0.0, 1.0, 7))
 
     def test_a_solution_that_is_not_polished_under_jit(self):
         method = jaxscp.ProximalSCP()

@@ -15,7 +15,7 @@ import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
 import jaxscp
-from jaxscp import _kept, missions, textbook
+from jaxscp import _fingerprint, _kept, missions, textbook
 from jaxscp._fingerprint import fingerprint
 from jaxscp._packed import Packed
 from jaxscp._pickling import packages_in, pickled, pickled_by_value
@@ -151,15 +151,23 @@ def test_a_damaged_file_is_written_anew(folder, monkeypatch):
         file.write_bytes(damaged)
         assert _kept._load(file) is None
     monkeypatch.setattr(_kept, "_found", {})
-    assert solution().objective == first.objective
     # What comes from JAX's cache would lack its kernels if it was written again.
-    assert file.read_bytes() == damaged
-    compilation_cache.reset_cache()
-    for entry in folder.parent.glob("*-cache"):
-        entry.unlink()
-    monkeypatch.setattr(_kept, "_found", {})
     assert solution().objective == first.objective
     assert len(file.read_bytes()) > len(whole) // 2
+    assert _kept._load(file) is not None
+
+
+def test_what_another_user_has_written_is_found(folder, monkeypatch, events):
+    def refused(*_):
+        raise PermissionError
+
+    first = solution()
+    monkeypatch.setattr(_kept, "_found", {})
+    # Only its owner may say that it has been used.
+    monkeypatch.setattr(os, "utime", refused)
+    events.clear()
+    assert solution().objective == first.objective
+    assert not solve_is_traced(events)
 
 
 def test_without_a_file_it_serves_the_process(folder, events):
@@ -238,6 +246,19 @@ def test_what_is_installed_counts(monkeypatch):
     assert told() not in (None, before)
     monkeypatch.setattr("jaxscp._fingerprint._installed", lambda: None)
     assert told() is None
+
+
+def test_sources_changed_since_they_were_imported_tell_nothing(monkeypatch):
+    before = told()
+    _fingerprint._installed.cache_clear()
+    # As if every file had been written later.
+    monkeypatch.setattr(_fingerprint, "_IMPORTED", 0.0)
+    try:
+        assert told() is None
+    finally:
+        monkeypatch.undo()
+        _fingerprint._installed.cache_clear()
+    assert told() == before is not None
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,8 @@ kind of constraint the methods treat, small enough to compile fast.
 
 import dataclasses
 import itertools
+import math
+import re
 
 import equinox as eqx
 import jax
@@ -64,6 +66,48 @@ METHODS = {
 def strongly_typed(state: SCPState) -> SCPState:
     """Python numbers leave weak types behind, for which a step would compile anew."""
     return jax.tree.map(lambda leaf: jnp.asarray(leaf, leaf.dtype), state)
+
+
+@pytest.mark.parametrize(
+    ("method", "settings", "named"),
+    [
+        (jaxscp.ProximalSCP, {"max_iterations": 0}, "max_iterations=0: give a whole"),
+        (jaxscp.PaperSCP, {"max_failures": 0}, "max_failures=0: give a whole"),
+        (jaxscp.ProximalSCP, {"max_polish": -1}, "max_polish=-1: give a whole"),
+        (jaxscp.ProximalSCP, {"tolerance": 0.0}, "tolerance=0.0: give a positive"),
+        (jaxscp.ProximalSCP, {"min_radius": math.nan}, "min_radius=nan: give a pos"),
+        (jaxscp.ProximalSCP, {"initial_weight": -1.0}, "initial_weight=-1.0: give"),
+        (jaxscp.PaperSCP, {"initial_radius": 0.0}, "initial_radius=0.0: need"),
+        (jaxscp.PaperSCP, {"alpha": 1.0}, "alpha=1.0: need alpha > 1"),
+    ],
+)
+def test_settings_that_make_no_sense(method, settings, named):
+    with pytest.raises(ValueError, match=re.escape(named)):
+        method(**settings)
+
+
+def test_there_is_room_for_every_rejected_step():
+    problem = OptimalControlProblem(
+        lambda t, x, u: jnp.stack([x[1], u[0] + 20.0 * jnp.sin(5.0 * x[0])]),
+        running_cost=lambda t, x, u: u @ u,
+        state=Bounds.free(2, scale=[1.0, 1.0]),
+        control=Bounds.free(1, scale=[1.0]),
+        initial_state=Bounds.exactly([0.0, 0.0]),
+        final_state=Bounds.exactly([6.0, 0.0]),
+        final_time=Bounds.exactly(2.0),
+    )
+    method = jaxscp.PaperSCP(max_iterations=2, initial_radius=1e5)
+    told = []
+    solution = jaxscp.solve(
+        problem, method=method, nodes=6, throw=False, progress=told.append
+    )
+    jax.effects_barrier()
+    accepted = np.asarray(solution.history.accepted)
+    # Where the model is so wrong most steps are refused.
+    assert np.sum(accepted == 0.0) > 4 * method.max_iterations
+    assert np.sum(accepted == 1.0) == solution.statistics.iterations == 2
+    assert [row["iteration"] for row in told] == list(range(1, len(told) + 1))
+    assert len(told) == np.sum(np.isfinite(accepted))
 
 
 @eqx.filter_jit

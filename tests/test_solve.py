@@ -20,9 +20,10 @@ from scipy.integrate import solve_ivp
 from test_validation import compilations
 
 import jaxscp
-from jaxscp import Bounds, Integral, OptimalControlProblem, _qp, missions
+from jaxscp import Bounds, Integral, OptimalControlProblem, _qp, missions, textbook
 from jaxscp._choice import best
 from jaxscp._diagnosis import Violations, explain
+from jaxscp._progress import listener
 
 NODES = 6
 GOAL = 3.0
@@ -147,14 +148,14 @@ def interrupted() -> tuple[jaxscp.Solution, tuple[dict, ...]]:
     return recorded(jaxscp.straight_line(cart(), UNEVEN))
 
 
-def recorded(guess, listener=RECORDS.append) -> tuple[jaxscp.Solution, tuple[dict, ...]]:
+def recorded(guess, told=RECORDS.append) -> tuple[jaxscp.Solution, tuple[dict, ...]]:
     RECORDS.clear()
     solution = jaxscp.solve(
         cart(),
         guess,
         TWO_STEPS,
         discretization=jaxscp.Discretization(jaxscp.FirstOrderHold(), tolerance=1e-9),
-        progress=listener,
+        progress=told,
         throw=False,
     )
     jax.effects_barrier()
@@ -540,6 +541,25 @@ def test_others_told_of_progress_compile_nothing():
     assert tuple(others) == records
 
 
+@dataclasses.dataclass
+class Recorder:
+    """Two are equal that have heard the same."""
+
+    rows: list
+
+    def __call__(self, record):
+        self.rows.append(record)
+
+
+def test_equal_listeners_are_two():
+    one, other, rows = Recorder([]), Recorder([]), []
+    assert one == other
+    numbers = [int(listener(each)) for each in (one, other, one, rows.append)]
+    assert numbers[0] == numbers[2] != numbers[1] != numbers[3]
+    # Python makes methods anew each time.
+    assert int(listener(rows.append)) == numbers[3]
+
+
 def test_who_fails_to_hear_of_progress_stops_the_solve():
     def broken(record):
         raise ZeroDivisionError(f"iteration {record['iteration']}")
@@ -885,3 +905,44 @@ def test_missions_without_data_have_no_steps(in_steps):
     solution = missions.solve(missions.get("free-flight"), nodes=20, throw=False)
     assert not bool(solution.converged)
     assert not asked
+
+
+class Sink(eqx.Module):
+    """Flows out too fast for steps of half an interval, which empty it beyond the floor
+    of its logarithm.
+    """
+
+    def __call__(self, t, x, u):
+        return u - 3.2 * x + 0.01 * jnp.log(x + 0.5)
+
+
+def drained(**settings):
+    problem = OptimalControlProblem(
+        Sink(),
+        running_cost=lambda t, x, u: (u[0] - 0.1) ** 2,
+        state=Bounds.free(1),
+        control=Bounds([-1.0], [1.0]),
+        initial_state=Bounds.exactly([1.0]),
+        final_time=Bounds.exactly(1.0),
+    )
+    discretization = jaxscp.Discretization(**settings)
+    return jaxscp.solve(problem, nodes=2, discretization=discretization, throw=False)
+
+
+def test_steps_too_long_for_a_function_become_shorter():
+    solution = drained()
+    assert bool(solution.polished)
+    assert int(solution.statistics.substeps) > 2
+    assert float(solution.statistics.integration_error) < 1e-4
+
+
+def test_the_error_of_a_single_step_is_known():
+    one, two = (drained(min_substeps=n, max_substeps=n) for n in (7, 14))
+    error = float(one.statistics.integration_error)
+    np.testing.assert_allclose(error / 16, two.statistics.integration_error, rtol=0.5)
+    problem = textbook.minimum_energy_double_integrator()
+    settings = jaxscp.Discretization(min_substeps=1, max_substeps=1)
+    solution = jaxscp.solve(problem, nodes=7, discretization=settings)
+    assert int(solution.statistics.substeps) == 1
+    # The flow is a parabola, which one step follows exactly.
+    assert float(solution.statistics.integration_error) < 1e-12

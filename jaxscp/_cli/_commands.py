@@ -66,7 +66,9 @@ def solve(arguments: argparse.Namespace) -> int:
     seconds |= spent
     between = arguments.enforce == "between"
     verification = checked(solution.problem, solution, between)
-    start = guesses[[bool(a.chosen) for a in solution.attempts].index(True)]
+    chosen = [bool(attempt.chosen) for attempt in solution.attempts].index(True)
+    # The data that rise in steps, the last attempt, rise on the first guess's route.
+    start = (*guesses, guesses[0])[chosen]
     _write(arguments, mission, solution, start, verification, seconds)
     good = bool(solution.converged) and verification.verified
     if not arguments.quiet:

@@ -5,11 +5,11 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from .._trajectory import Trajectory
+from .._tree import as_floats
 
 # What stands for the status of a point that has none: its solve raised an error.
 RAISED = "raised"
@@ -66,7 +66,7 @@ class Record:
         if not self.fractions.size:
             return None
         arrays = (self.fractions, self.states, self.controls, self.final_time)
-        return Trajectory(*(jnp.asarray(array, float) for array in arrays))
+        return Trajectory(*(as_floats(array) for array in arrays))
 
 
 # Names and types of what the table shows: all but the flight.

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from .. import missions
@@ -146,7 +145,7 @@ class Sweep:
         table, flown = entries["table"], entries["flown"]
         table.setflags(write=False)
         arrays = zip(*(entries[name] for name in keys[3:]), strict=True)
-        flights = iter([Trajectory(*map(jnp.asarray, each)) for each in arrays])
+        flights = iter([Trajectory(*each) for each in arrays])
         return cls(manifest, table, tuple(next(flights) if f else None for f in flown))
 
 

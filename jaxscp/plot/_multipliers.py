@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from .._problem import entry_name
-from .._shadow_prices import owned_by_end, price_unit
+from .._shadow_prices import price_unit
 from .._solution import Solution
 from ._style import BLUE, GREY, ORANGE, ManyAxes, check_count, label
 
@@ -102,7 +102,7 @@ def _limits(solution: Solution) -> dict[str, tuple[np.ndarray, np.ndarray]]:
             found[entry_name(name, entry, size)] = nodal, between
     nodal, between = np.array(values.state), np.asarray(values.state_between)
     for node, end in ((0, problem.initial_state), (-1, problem.final_state)):
-        lower, upper = map(np.asarray, owned_by_end(problem.state, end))
+        lower, upper = map(np.asarray, end.prevails(problem.state))
         owned = np.where(nodal[node] < 0.0, lower, upper)
         nodal[node] = np.where(owned, 0.0, nodal[node])
     for entry, name in enumerate(problem.state_names):
