@@ -65,8 +65,8 @@ class SmoothMerit(jaxscp.ProximalSCP):
 
     first_weight: float = eqx.field(static=True, default=10.0)
 
-    def init(self, transcription, guess):
-        state = super().init(transcription, guess)
+    def init(self, transcription, guess, again=False):
+        state = super().init(transcription, guess, again)
         merit = AugmentedLagrangian(
             state.solution.multipliers, jnp.asarray(self.first_weight)
         )

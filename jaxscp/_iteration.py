@@ -58,6 +58,7 @@ def start(
     transcription: Transcription,
     guess: Variables,
     nothing: SubproblemSolution,
+    again: bool | Array = False,
     *,
     radius: float,
     ceiling: float,
@@ -81,7 +82,7 @@ def start(
     zero = jnp.zeros((), int)
     return SCPState(
         iterate=iterate,
-        scaling=automatic_scaling(transcription, guess),
+        scaling=automatic_scaling(transcription, guess, again),
         solution=nothing,
         merit=ExactPenalty(nothing.multipliers),
         ceiling=jnp.asarray(ceiling),

@@ -12,10 +12,13 @@ from ._bounds import Bounds
 from ._problem import OptimalControlProblem, entry_name
 
 # A state that hardly moves is measured by this share of its typical size, or of the
-# range of its limits, or, lacking both, of one unit (of the largest range covered, if
-# that is smaller). Noise must not pass for motion, and a solver whose tolerances are
-# relative to a state's scale does no better on a state that stays near zero.
+# range of its limits (of the largest range covered, or one unit, if they lie farther
+# apart), or, lacking both, of one unit (of the largest range covered, if that is
+# smaller). Noise must not pass for motion, and a solver whose tolerances are relative to
+# a state's scale does no better on a state that stays near zero.
 LEAST_MOTION = 0.2
+# Limits farther apart than so many ranges covered do not tell how large a breach is.
+MOST_MOTIONS = 10.0
 # A path constraint that hardly changes is measured by this, in its own unit.
 LEAST_PATH_RANGE = 0.1
 
@@ -73,13 +76,14 @@ class Points:
 def range_of_limits(
     bounds: Bounds, values: Float[np.ndarray, "K n"]
 ) -> Float[np.ndarray, " n"]:
-    """What a breach is measured by: limits' range, typical size or range covered."""
+    """What a breach is measured by: limits' range, typical size or range covered.
+
+    Limits far beyond what is covered only say that there are none on that side.
+    """
     width, typical = _width_and_typical(bounds)
-    return np.where(
-        width > 0,
-        width,
-        np.where(typical > 0, typical, range_of_motion(bounds, values)),
-    )
+    motion = range_of_motion(bounds, values)
+    near = np.minimum(width, MOST_MOTIONS * motion)
+    return np.where(width > 0, near, np.where(typical > 0, typical, motion))
 
 
 def range_of_motion(
@@ -88,8 +92,10 @@ def range_of_motion(
     """Range that the values cover, with a floor for entries that hardly move."""
     covered = np.nan_to_num(np.ptp(values, axis=0), nan=0.0, posinf=0.0)
     width, typical = _width_and_typical(bounds)
-    unit = min(1.0, np.max(covered)) or 1.0
-    size = np.where(typical > 0, typical, np.where(width > 0, width, unit))
+    largest = np.max(covered)
+    unit = min(1.0, largest) or 1.0
+    near = np.minimum(width, max(1.0, largest))
+    size = np.where(typical > 0, typical, np.where(width > 0, near, unit))
     return np.maximum(covered, LEAST_MOTION * size)
 
 

@@ -21,6 +21,7 @@ from ._state import SCPState
 from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
 from ._subproblem_data import Prices
 from ._transcription import Transcription, Variables
+from ._types import Array
 
 
 class PaperSCP(AbstractSCP):
@@ -81,11 +82,14 @@ class PaperSCP(AbstractSCP):
                 f"min_radius={self.min_radius:g}."
             )
 
-    def init(self, transcription: Transcription, guess: Variables) -> SCPState:
+    def init(
+        self, transcription: Transcription, guess: Variables, again: bool | Array = False
+    ) -> SCPState:
         return start(
             transcription,
             guess,
             SubproblemSolution.none(self._structure(transcription)),
+            again,
             radius=self.initial_radius,
             ceiling=self.penalty,
             records=self._most_steps,

@@ -29,6 +29,8 @@ from ._types import Array, Scalar
 # Corrections of a polishing step, which may go far along what the cost hardly sees: each
 # costs a third of an iteration.
 _POLISHING = 2
+# A scaled cost this small hardly counts.
+_VANISHING = 1e-3
 
 
 class ProximalSCP(AbstractSCP):
@@ -107,11 +109,14 @@ class ProximalSCP(AbstractSCP):
                 f"initial_weight={self.initial_weight!r}: give a positive number."
             )
 
-    def init(self, transcription: Transcription, guess: Variables) -> SCPState:
+    def init(
+        self, transcription: Transcription, guess: Variables, again: bool | Array = False
+    ) -> SCPState:
         return start(
             transcription,
             guess,
             SubproblemSolution.none(Structure.of(transcription)),
+            again,
             radius=1.0 / self.initial_weight,
             ceiling=self.initial_ceiling,
             records=self.max_iterations + self.max_polish,
@@ -137,6 +142,11 @@ class ProximalSCP(AbstractSCP):
             lambda state: self._iterate(transcription, state),
             after,
         )
+
+    def is_misled(self, state: SCPState) -> Array:
+        """A cost next to nothing beside its scale meets every tolerance."""
+        cost = jnp.abs(state.iterate.residuals.objective)
+        return (cost < _VANISHING) & (cost > 0.0)
 
     def _is_near(self, state: SCPState, gap: Optimality) -> Array:
         """Whether Newton's method may be trusted without a merit function.

@@ -28,6 +28,9 @@ from ._types import Array, Float, Scalar
 # A slope this small beside how a constraint bends is none, as that of a squared norm
 # whose argument is next to zero.
 _FLAT = 1e-3
+# Values this small beside a scale tell a better one, unless they are smaller still: those
+# are rounding errors.
+_SMALL, _NOTHING = 1e-2, 1e-8
 
 
 class Scaling(eqx.Module):
@@ -111,10 +114,19 @@ class Scaling(eqx.Module):
         )
 
 
-def automatic_scaling(transcription: Transcription, guess: Variables) -> Scaling:
-    """Scales from ranges: of the limits, else of the boundary values and the guess."""
+def automatic_scaling(
+    transcription: Transcription, guess: Variables, again: bool | Array = False
+) -> Scaling:
+    """Scales from ranges: of the limits, else of the boundary values and the guess.
+
+    **Arguments:**
+
+    - `again`: whether the guess is what a solve has led to. Where its variables are far
+        smaller than their scales it tells these, limits and users notwithstanding.
+    """
     problem = transcription.problem
     ends = jnp.stack([problem.initial_state.target, problem.final_state.target])
+    near = jnp.concatenate([guess.states, ends])
     *totals, cost = transcription.rough_totals(guess)
     integral = [
         _scale(integral.bounds, total[None], absolute=True)
@@ -122,8 +134,10 @@ def automatic_scaling(transcription: Transcription, guess: Variables) -> Scaling
     ]
     watch, parts = transcription.watch, transcription.discretization.between
     sizes = Scaling(
-        state=_scale(problem.state, jnp.concatenate([guess.states, ends])),
-        control=_scale(problem.control, guess.controls),
+        state=_unless_small(_scale(problem.state, near), guess.states, again),
+        control=_unless_small(
+            _scale(problem.control, guess.controls), guess.controls, again
+        ),
         time=_first_positive(_given(problem.final_time), jnp.abs(guess.final_time)),
         integral=jnp.array(integral).reshape(len(totals)),
         path=jnp.ones(watch.path),
@@ -172,6 +186,15 @@ def _path_bends(
     return jnp.max(jax.vmap(at_node)(times, guess.states, controls), axis=0)
 
 
+def _unless_small(
+    scales: Float[Array, " n"], values: Float[Array, "N n"], again: bool | Array
+) -> Float[Array, " n"]:
+    """Scales, or the largest values where these are smaller."""
+    largest = jnp.max(jnp.abs(values), axis=0)
+    small = (largest < scales) & (largest > _NOTHING * scales)
+    return jnp.where(small & again, largest, scales)
+
+
 def _unless_flat(slopes: Array, bends: Array) -> Array:
     """Slopes, but for those that all but vanish where the guess happens to lie."""
     return jnp.where(slopes > _FLAT * bends, slopes, bends)
@@ -187,6 +210,9 @@ def _scale(
         limits = jnp.maximum(limits, largest)
     seen = jnp.where(jnp.isfinite(values), values, jnp.nan)
     extent = 0.5 * (jnp.nanmax(seen, axis=0) - jnp.nanmin(seen, axis=0))
+    # Limits so far out only say that there are none.
+    remote = (extent < _SMALL * limits) & (extent > _NOTHING * limits)
+    limits = jnp.where(remote, extent / _SMALL, limits)
     if absolute:
         limits = jnp.where(jnp.isfinite(limits), limits, largest)
     return _first_positive(given, limits, extent, jnp.nanmax(jnp.abs(seen), axis=0))

@@ -1,6 +1,7 @@
 """What an SCP method is, the loop that runs it, and how a solve ends."""
 
 import abc
+import functools
 import math
 from typing import Any
 
@@ -18,6 +19,8 @@ from ._types import Array, ArrayLike
 # The scaled residual of the optimality conditions above which a point is no optimum, not
 # even roughly: gradients are of the order of one.
 _ROUGH = 1.0
+# With scales of its own finding each time: a few lead from any to the right ones.
+_BEGINNINGS = 5
 
 
 class AbstractSCP(eqx.Module):
@@ -43,12 +46,25 @@ class AbstractSCP(eqx.Module):
                 raise ValueError(f"{name}={value!r}: give a positive number.")
 
     @abc.abstractmethod
-    def init(self, transcription: Transcription, guess: Variables) -> SCPState:
-        """The state before the first subproblem."""
+    def init(
+        self, transcription: Transcription, guess: Variables, again: bool | Array = False
+    ) -> SCPState:
+        """The state before the first subproblem.
+
+        **Arguments:**
+
+        - `again`: whether the guess is what this method led to, with scales that were
+            wrong.
+        """
 
     @abc.abstractmethod
     def step(self, transcription: Transcription, state: SCPState) -> SCPState:
         """Solve one subproblem, judge its step, take it or not."""
+
+    def is_misled(self, state: SCPState) -> Array:
+        """Whether its scales have made a method end where it ought not to."""
+        del state
+        return jnp.array(False)
 
     def terminate(
         self, transcription: Transcription, state: SCPState
@@ -89,6 +105,18 @@ class AbstractSCP(eqx.Module):
         return done, status
 
 
+class _Course(eqx.Module):
+    """How far a method has come.
+
+    - `begins`: whether it is to begin, or to begin again. `begun`: how often it has.
+    """
+
+    state: SCPState
+    begins: Array
+    begun: Array
+    ended: Array
+
+
 def run(
     method: AbstractSCP,
     transcription: Transcription,
@@ -98,7 +126,9 @@ def run(
 ) -> tuple[SCPState, Status]:
     """Iterate until the method terminates, in one compiled loop.
 
-    The `listener` (`_progress`) is told which `attempt` this is.
+    What it ends with may be the first to tell how large the variables and the cost are.
+    Where its scales were far off it begins again from there. The `listener` (`_progress`)
+    is told which `attempt` this is.
     """
 
     def report(state: SCPState) -> None:
@@ -107,17 +137,29 @@ def run(
         values = {name: getattr(record, name) for name in vars(record)}
         tell(listener, attempt, state.records, values)
 
-    def body(state: SCPState) -> SCPState:
-        after = method.step(transcription, state)
+    def begin(at: _Course) -> _Course:
+        state = at.state
+        fresh = method.init(transcription, state.iterate.variables, at.begun > 0)
+        return _Course(
+            state.begun_again(fresh), jnp.array(False), at.begun + 1, jnp.array(False)
+        )
+
+    def step(at: _Course) -> _Course:
+        after = method.step(transcription, at.state)
         if listener is not None:
             # The last look may find nothing left to do.
-            tried = after.records > state.records
+            tried = after.records > at.state.records
             jax.lax.cond(tried, report, lambda _: None, after)
-        return after
+        done, _ = method.terminate(transcription, after)
+        again = done & (at.begun < _BEGINNINGS) & method.is_misled(after)
+        return _Course(after, again, at.begun, done & ~again)
 
-    state = jax.lax.while_loop(
-        lambda state: ~method.terminate(transcription, state)[0],
-        body,
-        method.init(transcription, guess),
+    blank = SCPState.blank(functools.partial(method.init, transcription), guess)
+    # What begins has not ended: with one condition alone XLA tries for seconds to count
+    # the loop's turns.
+    course = jax.lax.while_loop(
+        lambda at: at.begins | ~at.ended,
+        lambda at: jax.lax.cond(at.begins, begin, step, at),
+        _Course(blank, jnp.array(True), jnp.zeros((), int), jnp.array(False)),
     )
-    return state, method.terminate(transcription, state)[1]
+    return course.state, method.terminate(transcription, course.state)[1]

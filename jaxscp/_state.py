@@ -1,6 +1,10 @@
 """The state an SCP method carries from one iteration to the next."""
 
+import dataclasses
+from collections.abc import Callable
+
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 
 from ._merit import AbstractMerit
@@ -110,6 +114,33 @@ class SCPState(eqx.Module):
     optimality: Scalar
     near: Array
     finite: Array
+
+    @classmethod
+    def blank(
+        cls, init: Callable[[Variables], "SCPState"], guess: Variables
+    ) -> "SCPState":
+        """The room for one, with a guess and no records yet."""
+        shapes = eqx.filter_eval_shape(init, guess)
+        blank = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
+        history = History.empty(blank.history.accepted.size)
+        return eqx.tree_at(
+            lambda state: (state.iterate.variables, state.history),
+            blank,
+            (guess, history),
+        )
+
+    def begun_again(self, fresh: "SCPState") -> "SCPState":
+        """A state before the first subproblem, but for what has been counted."""
+        return dataclasses.replace(
+            fresh,
+            history=self.history,
+            records=self.records,
+            iterations=self.iterations,
+            polish=self.polish,
+            subproblems=self.subproblems,
+            qp_iterations=self.qp_iterations,
+            qp_seconds=self.qp_seconds,
+        )
 
     @property
     def last_accepted(self) -> Scalar:

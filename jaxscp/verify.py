@@ -67,8 +67,9 @@ def verify(
     - `hold`: [`ZeroOrderHold`][] or [`FirstOrderHold`][]; by default the solution's,
         and zero-order for a bare trajectory.
     - `tolerance`: breach allowed, relative. Limits on states and controls are measured
-        in the range between them, else in their typical size (`Bounds.scale`), else in
-        the range the trajectory covers; boundary states and path constraints in the
+        in the range between them, or in ten times the range the trajectory covers where
+        that is less, else in their typical size (`Bounds.scale`), else in the range
+        covered; boundary states and path constraints in the
         range covered; an integral and the flight time in the size of their limit.
     - `interval_tolerance`: distance allowed between the flow's end and the next node,
         relative to the range the trajectory covers: 0.05 m for 500 m.

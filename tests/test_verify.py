@@ -70,6 +70,21 @@ def test_interval_tolerance_is_relative_to_the_motion():
     assert verify(motion(), nearby, interval_tolerance=1e-3).verified
 
 
+@pytest.mark.parametrize("reach", [1e2, 1e4, 1e7])
+def test_limits_far_out_allow_no_more(reach):
+    problem = motion(state=Bounds([-reach, -reach], [reach, reach]))
+    assert verify(problem, shifted(constant_acceleration(), 3, 0, 1.5e-3)).verified
+    nearby = shifted(constant_acceleration(), 3, 0, 1.7e-3)
+    assert not verify(problem, nearby).verified
+
+
+@pytest.mark.parametrize("reach", [1e2, 1e4, 1e7])
+def test_a_limit_counts_however_far_out_the_other_is(reach):
+    ceiling = motion(state=Bounds([-reach, -jnp.inf], [15.9, jnp.inf]))
+    # It arrives at 16 m.
+    assert "position" in verify(ceiling, constant_acceleration()).violations
+
+
 def test_noise_in_a_resting_state_is_no_motion():
     coasting = constant_acceleration(acceleration=0.0, velocity=1.0)
     problem = motion(initial_state=Bounds.free(2))
