@@ -86,6 +86,7 @@ class Bounds(eqx.Module):
                 f"Bounds: lower{_place(at)}={lower[at]:g} exceeds "
                 f"upper{_place(at)}={upper[at]:g}; swap them or widen the range."
             )
+        self._check_scale()
         if len(self.fixed) != lower.size:
             raise ValueError(
                 f"Bounds: fixed has {len(self.fixed)} entries for {lower.size} limits; "
@@ -96,6 +97,19 @@ class Bounds(eqx.Module):
             raise ValueError(
                 f"Bounds: limited has {lengths} entries for {lower.size} limits; give "
                 "one truth value for each lower and for each upper limit."
+            )
+
+    def _check_scale(self):
+        scale = constant(self.scale)
+        if scale is None or not is_concrete(scale):
+            return
+        sizes = np.asarray(scale)
+        wrong = ~(np.isnan(sizes) | (np.isfinite(sizes) & (sizes > 0.0)))
+        if wrong.any():
+            at = _largest(wrong)
+            raise ValueError(
+                f"Bounds: scale{_place(at)}={sizes[at]:g}; give a positive number, or "
+                "NaN for an automatic one."
             )
 
     @classmethod

@@ -13,20 +13,33 @@ from ._tree import is_differentiated
 
 def check_captured(problem: OptimalControlProblem) -> None:
     """**Raises:** `ValueError` where a function captured a number by which a derivative
-    is being taken: it is no leaf of the problem, and its derivative would be zero.
+    is being taken, or over which is mapped: it is no leaf of the problem.
     """
     for path, leaf in jax.tree_util.tree_leaves_with_path(problem):
         if not callable(leaf):
             continue
         for name, value in _captured(leaf):
             if is_differentiated(value):
-                where = jax.tree_util.keystr(path, simple=True, separator=".")
-                raise ValueError(
-                    f"{where} captured {name!r}, by which a derivative is being taken; "
-                    "only leaves of the problem have derivatives. Make the function a "
-                    f"Module with {name!r} as a field: class Dynamics(equinox.Module): "
-                    f"{name}: jax.Array; def __call__(self, t, x, u): ..."
-                )
+                what = "by which a derivative is being taken; only leaves of the"
+                what += " problem have derivatives"
+            elif _is_mapped(value):
+                what = "over which jax.vmap maps; only leaves of the problem can differ"
+                what += " from element to element"
+            else:
+                continue
+            where = jax.tree_util.keystr(path, simple=True, separator=".")
+            field = name if name.isidentifier() else "value"
+            raise ValueError(
+                f"{where} captured {name!r}, {what}. Make the function a Module with "
+                f"{field!r} as a field: class Dynamics(equinox.Module): {field}: "
+                "jax.Array; def __call__(self, t, x, u): ..."
+            )
+
+
+def _is_mapped(tree: Any) -> bool:
+    tracers = [x for x in jax.tree.leaves(tree) if isinstance(x, jax.core.Tracer)]
+    # JAX keeps the class of these to itself.
+    return any(hasattr(tracer, "batch_dim") for tracer in tracers)
 
 
 def _captured(function: Callable, depth: int = 3) -> Iterator[tuple[str, Any]]:

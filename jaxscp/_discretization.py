@@ -6,6 +6,7 @@ import math
 import equinox as eqx
 
 from ._hold import AbstractHold, ZeroOrderHold
+from ._types import check_kind
 
 
 class Quadrature(enum.Enum):
@@ -56,6 +57,12 @@ class Discretization(eqx.Module):
     max_substeps: int = eqx.field(static=True, default=256)
 
     def __check_init__(self):
+        check_kind("hold", self.hold, AbstractHold, "ZeroOrderHold() or FirstOrderHold()")
+        check_kind(
+            "quadrature", self.quadrature, Quadrature, "a member of jaxscp.Quadrature"
+        )
+        for name in ("between", "min_substeps", "max_substeps"):
+            check_kind(name, getattr(self, name), int, "a whole number")
         if not self.tolerance > 0:
             raise ValueError(f"tolerance={self.tolerance}: give a positive number.")
         if self.between < 0:

@@ -158,9 +158,8 @@ class GuessPlan(eqx.Module):
         if waiting is not None:
             stays = stays.at[waiting].set(wait)
         # On a way of no length every leg takes as long as another.
-        even = jnp.ones_like(legs).at[0].set(0.0) / lengths.size
-        shares = jnp.where(moving > 0, legs / jnp.where(moving > 0, moving, 1.0), even)
-        return shares * (total - wait), stays
+        legs = jnp.where(moving > 0, legs, jnp.ones_like(legs).at[0].set(0.0))
+        return legs * (total - wait) / jnp.sum(legs), stays
 
     def _seconds(
         self, lengths: Float[Array, " l"], waiting: int | None

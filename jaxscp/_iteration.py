@@ -19,6 +19,8 @@ from ._types import Array, Scalar
 # Between one linearization and the next the substeps change at most so much: a wild
 # first step would otherwise ask for hundreds.
 _MOST_GROWTH = 4.0
+# So often too few, and never again fewer.
+_MOST_RAISED = 3
 
 
 def linearized(
@@ -71,15 +73,16 @@ def start(
         lambda leaf: jnp.zeros(leaf.shape),
         jax.eval_shape(transcription.linearize, guess, substeps),
     )
+    zero = jnp.zeros((), int)
     iterate = Iterate(
         variables=guess,
         residuals=residuals,
         derivatives=derivatives,
         fresh=jnp.array(False),
         substeps=substeps,
+        raised=zero,
         integration_error=jnp.zeros(()),
     )
-    zero = jnp.zeros((), int)
     return SCPState(
         iterate=iterate,
         scaling=automatic_scaling(transcription, guess, again),
@@ -136,14 +139,16 @@ def try_step(
     return Trial(solution, variables, residuals, cost, error)
 
 
-def _needed_substeps(settings: Discretization, substeps: Array, error: Scalar) -> Array:
+def _needed_substeps(settings: Discretization, at: Iterate, error: Scalar) -> Array:
     """As many as keep the local error within its tolerance, for a method of order 4."""
     factor = 1.1 * (error / settings.tolerance) ** 0.25
-    # Fewer only if it is far fewer: the penalized cost changes with them, a little.
-    factor = jnp.where((factor < 1.0) & (factor > 0.5), 1.0, factor)
+    # Fewer only if it is far fewer: the penalized cost changes with them, a little. And
+    # not for ever: of stiff dynamics a few less may be far too few.
+    kept = (factor > 0.5) | (at.raised >= _MOST_RAISED)
+    factor = jnp.where((factor < 1.0) & kept, 1.0, factor)
     factor = jnp.where(error > settings.tolerance, jnp.maximum(factor, 1.0), factor)
     factor = jnp.clip(factor, 1.0 / _MOST_GROWTH, _MOST_GROWTH)
-    wanted = jnp.ceil(substeps * factor).astype(substeps.dtype)
+    wanted = jnp.ceil(at.substeps * factor).astype(at.substeps.dtype)
     return jnp.clip(wanted, settings.least_substeps, settings.max_substeps)
 
 
@@ -183,12 +188,14 @@ def advance(
     """
     accepted, old = judgement.accepted, state.iterate
     error = trial.integration_error
+    substeps = _needed_substeps(transcription.discretization, old, error)
     moved = Iterate(
         variables=trial.variables,
         residuals=trial.residuals,
         derivatives=old.derivatives,
         fresh=jnp.array(False),
-        substeps=_needed_substeps(transcription.discretization, old.substeps, error),
+        substeps=substeps,
+        raised=old.raised + (substeps > old.substeps),
         integration_error=error,
     )
     iterate = tree_where(accepted, moved, old)

@@ -7,7 +7,17 @@ import jax
 import jax.numpy as jnp
 
 from ._bounds import Bounds
-from ._types import Array, Control, Float, Scalar, State, TimeStateControl
+from ._types import (
+    Array,
+    Control,
+    Float,
+    Scalar,
+    State,
+    TimeStateControl,
+    check_kind,
+)
+
+GIVE_BOUNDS = "Bounds(lower, upper), or Bounds.exactly(value)"
 
 
 class Integral(eqx.Module):
@@ -94,6 +104,15 @@ class OptimalControlProblem(eqx.Module):
         control_names: tuple[str, ...] = (),
         units: Mapping[str, str] | tuple[tuple[str, str], ...] = (),
     ):
+        check_kind("state", state, Bounds, GIVE_BOUNDS)
+        check_kind("control", control, Bounds, GIVE_BOUNDS)
+        for name, parts in (
+            ("path_constraints", path_constraints),
+            ("integrals", integrals),
+        ):
+            check_kind(name, parts or {}, Mapping, "a dictionary, name to part")
+        for name, part in (integrals or {}).items():
+            check_kind(f"integrals[{name!r}]", part, Integral, "Integral(rate, bounds)")
         self.dynamics = dynamics
         self.state, self.control = state, control
         free = Bounds.free(state.lower.size)

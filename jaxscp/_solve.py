@@ -22,7 +22,7 @@ from ._solution import Solution, check_polished
 from ._trajectory import Trajectory, straight_line
 from ._transcription import Transcription
 from ._tree import as_array, as_floats, as_parameters, constant, is_differentiated
-from ._types import Array, ArrayLike, Scalar, is_concrete
+from ._types import Array, ArrayLike, Scalar, check_kind, is_concrete
 from ._validation import check_guesses, check_precision, check_problem
 
 
@@ -36,7 +36,7 @@ class SolveError(RuntimeError):
 
 def solve(
     problem: OptimalControlProblem,
-    guess: Trajectory | Sequence[Trajectory] | None = None,
+    guess: Trajectory | Solution | Sequence[Trajectory] | None = None,
     method: AbstractSCP = ProximalSCP(),  # noqa: B008  (immutable)
     *,
     nodes: int | ArrayLike = 50,
@@ -64,7 +64,8 @@ def solve(
     **Main arguments:**
 
     - `problem`: what to solve.
-    - `guess`: where to start, with the time grid to use; a straight line by default.
+    - `guess`: where to start, with the time grid to use; a straight line by default. Of
+        a solution it is the trajectory.
         Of several, on one time grid, the best is returned: the cheapest of those that
         converge and that [`verify`][] confirms, else the cheapest that converges, else
         the one that misses its constraints least. `Solution.attempts` holds them all.
@@ -98,14 +99,23 @@ def solve(
     """
     begun = time.perf_counter()
     check_precision()
+    check_kind("problem", problem, OptimalControlProblem, "an OptimalControlProblem")
+    check_kind("method", method, AbstractSCP, "ProximalSCP() or PaperSCP()")
+    check_kind("discretization", discretization, Discretization, "a Discretization")
+    if progress is not None:
+        check_kind("progress", progress, Callable, "a function of a dictionary")
     problem = as_parameters(problem)
     check_captured(problem)
     numbers = constant(problem)
     check_problem(numbers)
     if guess is None:
         guess = straight_line(numbers, nodes)
+    elif isinstance(guess, Solution):
+        guess = guess.trajectory
     check_smoothing(smoothing)
     guesses = (guess,) if isinstance(guess, Trajectory) else tuple(guess)
+    for each in guesses:
+        check_kind("guess", each, Trajectory, "a Trajectory")
     guesses = as_parameters(guesses)
     check_guesses(numbers, guesses)
     transcription = Transcription(problem, discretization, guesses[0].fractions)

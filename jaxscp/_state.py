@@ -19,6 +19,7 @@ class Iterate(eqx.Module):
 
     - `fresh`: whether the derivatives belong to the point, not to the one before.
     - `substeps`: Runge-Kutta steps an interval, as many as the tolerance asked for.
+        `raised`: how often it asked for more than there had been.
     - `integration_error`: estimated local error with that many, relative to the scales.
     """
 
@@ -27,6 +28,7 @@ class Iterate(eqx.Module):
     derivatives: Derivatives
     fresh: Array
     substeps: Array
+    raised: Array
     integration_error: Scalar
 
 

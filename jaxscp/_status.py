@@ -18,7 +18,7 @@ class Status(eqx.Enumeration):
     )
     iteration_limit = (
         "The iteration limit was reached before convergence. Raise max_iterations, or "
-        "start from a better guess."
+        "start from a better guess; stiff dynamics need Discretization(min_substeps=...)."
     )
     subproblem_infeasible = (
         "A convex subproblem has no solution: limits contradict each other even with "
@@ -26,7 +26,8 @@ class Status(eqx.Enumeration):
     )
     subproblem_failed = (
         "The QP solver failed on a subproblem. Check that the problem's functions are "
-        "smooth at the guess and that its scales are right."
+        "smooth at the guess and that its scales are right; stiff dynamics need "
+        "Discretization(min_substeps=...)."
     )
     virtual_control_remains = (
         "The dynamics cannot be met within the limits from this guess: virtual control "

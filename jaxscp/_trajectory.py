@@ -45,6 +45,8 @@ def time_grid(nodes: int | ArrayLike) -> Float[Array, " N"]:
             raise ValueError(f"nodes={nodes}: a grid needs at least 2 nodes.")
         return as_floats(np.linspace(0.0, 1.0, int(nodes)))
     fractions = as_floats(nodes)
+    if fractions.ndim == 0:
+        raise ValueError(f"nodes={nodes}: give a whole number, or a vector of fractions.")
     if fractions.ndim != 1 or fractions.size < 2:
         raise ValueError(
             f"nodes has shape {fractions.shape}: give a number of nodes, or a vector of "

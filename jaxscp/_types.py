@@ -39,6 +39,7 @@ __all__ = [
     "Scalar",
     "State",
     "TimeStateControl",
+    "check_kind",
     "is_concrete",
 ]
 
@@ -55,3 +56,10 @@ def is_concrete(*values: object) -> bool:
         isinstance(leaf, (np.ndarray, np.generic, jax.Array, int, float, bool))
         for leaf in jax.tree.leaves(values)
     )
+
+
+def check_kind(name: str, value: object, kind: Any, give: str) -> None:
+    """**Raises:** `ValueError` saying what to give where something else is given."""
+    if not isinstance(value, kind):
+        given = value.__name__ if isinstance(value, type) else type(value).__name__
+        raise ValueError(f"{name} is {given}; give {give}.")

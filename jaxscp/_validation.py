@@ -14,9 +14,9 @@ import numpy as np
 
 from ._bounds import Bounds
 from ._packed import Packed
-from ._problem import OptimalControlProblem
+from ._problem import GIVE_BOUNDS, OptimalControlProblem
 from ._trajectory import Trajectory, time_grid
-from ._types import is_concrete
+from ._types import check_kind, is_concrete
 
 
 def check_precision() -> None:
@@ -47,6 +47,7 @@ def check_problem(problem: OptimalControlProblem) -> None:
         given = getattr(problem, names)
         if len(given) != size:
             raise ValueError(f"{names}={given}: give {size} names, one for each entry.")
+    _check_names(problem)
     for name in ("initial_state", "final_state"):
         _check_reachable(problem, name)
     low = problem.final_time.lower
@@ -56,6 +57,24 @@ def check_problem(problem: OptimalControlProblem) -> None:
             "flight time that makes sense, for example 0.1."
         )
     _check_functions(problem)
+
+
+def _check_names(problem: OptimalControlProblem) -> None:
+    """Each must name one thing, and units only what has a name."""
+    names = [
+        *(problem.state_names + problem.control_names),
+        *(*problem.path_constraints, *problem.integrals, "final time", "objective"),
+    ]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            raise ValueError(f"{name!r} names two quantities; rename one of them.")
+    for name, unit in problem.units:
+        # Of a constraint's entries each may have a unit of its own.
+        if name not in names and name.partition("[")[0] not in names:
+            raise ValueError(
+                f"units: {name!r} is none of {', '.join(names)}; leave it out."
+            )
+        check_kind(f"units[{name!r}]", unit, str, "text, such as 'm/s'")
 
 
 def check_guesses(
@@ -119,11 +138,7 @@ def check_guess(
 
 
 def _check_bounds(name: str, bounds: Bounds, shape: tuple[int, ...] | None) -> None:
-    if not isinstance(bounds, Bounds):
-        raise ValueError(
-            f"{name} is {type(bounds).__name__}; give Bounds(lower, upper), or "
-            "Bounds.exactly(value)."
-        )
+    check_kind(name, bounds, Bounds, GIVE_BOUNDS)
     if shape is None:
         if len(bounds.shape) != 1 or bounds.shape[0] == 0:
             raise ValueError(

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import jaxscp
 from jaxscp import Audit, Audited, History, Status, missions
 from jaxscp.__main__ import main
 from jaxscp._cli import _commands
@@ -88,6 +89,20 @@ def test_missions_are_listed_a_line_each(capsys):
     assert main(["missions"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert tuple(line.split()[0] for line in lines) == missions.names()
+
+
+def test_the_version_is_told(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out == f"jaxscp {jaxscp.__version__}\n"
+
+
+def test_values_set_and_swept_are_refused(capsys):
+    sweep = ["sweep", "free-flight", "--over", "vehicle.mass=[3]"]
+    assert "--over vehicle.mass: --set gives it one value" in refused(
+        capsys, [*sweep, "--set", "vehicle.mass=4"]
+    )
 
 
 def test_help_succeeds(capsys):

@@ -13,6 +13,7 @@ from hypothesis import given, strategies as st
 from numpy.testing import assert_allclose
 
 from jaxscp import missions
+from jaxscp._validation import check_guess
 from jaxscp.models import Channel, Cylinders, Quadrotor
 
 NAMES = (
@@ -417,6 +418,15 @@ def test_guess_keeps_the_range_of_flight_times():
     assert float(shorter.guess().final_time) == 300.0
     longer = missions.replace(missions.get("free-flight"), "final_time_range", [40, 50])
     assert float(longer.guess().final_time) == 40.0
+
+
+def test_a_flight_to_where_it_starts_takes_the_least_time():
+    here = {"start": [10.0, 20.0, 30.0], "goal": [10.0, 20.0, 30.0]}
+    mission = missions.replace_many(missions.get("free-flight"), here)
+    guess = mission.guess(5)
+    assert guess.final_time == mission.final_time_range[0]
+    np.testing.assert_array_equal(guess.states[:, :3], [here["start"]] * 5)
+    check_guess(mission.problem(), guess)
 
 
 def test_new_numbers_leave_the_structure_alone():

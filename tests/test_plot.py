@@ -42,6 +42,14 @@ def test_controls_are_drawn_as_held(double_integrator):
     )
 
 
+def test_a_single_axes_is_one(double_integrator):
+    ax = Figure().subplots()
+    assert plot.controls(ax, double_integrator) is ax
+    assert ax.get_lines()
+    with pytest.raises(ValueError, match="axes has 1 entries for 2 states"):
+        plot.states(Figure().subplots(), double_integrator)
+
+
 def test_wrong_number_of_axes_is_refused(double_integrator):
     with pytest.raises(ValueError, match="axes has 1 entries for 2 states"):
         plot.states([Figure().subplots()], double_integrator)

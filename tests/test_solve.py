@@ -946,3 +946,59 @@ def test_the_error_of_a_single_step_is_known():
     assert int(solution.statistics.substeps) == 1
     # The flow is a parabola, which one step follows exactly.
     assert float(solution.statistics.integration_error) < 1e-12
+
+
+class Lagging(eqx.Module):
+    """A cart whose push follows the command with a lag [s]."""
+
+    lag: jax.Array
+
+    def __call__(self, t, x, u):
+        return jnp.stack([x[1], x[2], (u[0] - x[2]) / self.lag])
+
+
+def behind(lag) -> OptimalControlProblem:
+    return OptimalControlProblem(
+        Lagging(jnp.asarray(lag)),
+        running_cost=lambda t, x, u: u @ u,
+        state=Bounds([-5.0, -5.0, -3.0], [20.0, 5.0, 3.0]),
+        control=Bounds([-2.0], [2.0]),
+        initial_state=Bounds.exactly([0.0, 0.0, 0.0]),
+        final_state=Bounds.exactly([10.0, 0.0, 0.0]),
+        final_time=Bounds.exactly(10.0),
+    )
+
+
+@pytest.mark.parametrize("lag", [0.1, 0.02, 0.01])
+def test_a_short_lag_asks_for_substeps_once(lag):
+    solution = jaxscp.solve(behind(lag), nodes=30)
+    assert bool(solution.polished)
+    # In intervals of 1/3 s steps of a seventh of the lag are stable, and accurate.
+    assert int(solution.statistics.substeps) > 1 / (2.8 * 3 * lag)
+    assert steps(solution) < 20
+    assert jaxscp.verify(solution.problem, solution).verified
+    # All but without a lag it takes 12 * 10^2 / 10^3, but for the held control.
+    assert solution.objective == pytest.approx(1.2, rel=0.15)
+
+
+def test_of_too_short_a_lag_it_says_what_to_do():
+    with pytest.raises(jaxscp.SolveError, match=r"stiff dynamics need Discretization"):
+        jaxscp.solve(behind(1e-4), nodes=30)
+
+
+def test_a_solution_is_a_guess():
+    solution = converged()
+    again = solve(cart(), solution)
+    assert again.objective == pytest.approx(float(solution.objective), rel=1e-9)
+    assert steps(again) <= steps(solution)
+
+
+def test_a_number_that_is_mapped_over_may_not_be_captured():
+    def effort(drag):
+        problem = cart()
+        dynamics = lambda t, x, u: jnp.stack([x[1], u[0] - drag * x[1]])  # noqa: E731
+        problem = eqx.tree_at(lambda p: p.dynamics, problem, dynamics)
+        return solve(problem).objective
+
+    with pytest.raises(ValueError, match=r"captured 'drag', over which jax.vmap maps"):
+        jax.vmap(effort)(jnp.asarray([0.1, 0.2]))

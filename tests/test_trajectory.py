@@ -48,7 +48,7 @@ def test_an_uneven_grid_is_kept(widths):
         (-3, "nodes=-3"),
         (array([0.0]), r"nodes has shape \(1,\)"),
         (array([[0.0, 1.0]]), r"nodes has shape \(1, 2\)"),
-        (5.0, r"nodes has shape \(\)"),
+        (5.0, "nodes=5.0: give a whole number, or a vector of fractions"),
         (array([0.0, 0.6, 0.5, 1.0]), "fractions must rise"),
         (array([0.0, 0.5, 0.5, 1.0]), "must rise"),
         (array([0.1, 0.5, 1.0]), "must rise"),

@@ -2,11 +2,13 @@
 
 import contextlib
 import re
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
 import jax.monitoring
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
 import pytest
 
@@ -441,3 +443,81 @@ def test_under_a_transformation_shapes_are_checked_and_numbers_are_not():
     message = re.escape("initial_state: bounds of shape (3,); the problem needs (25,)")
     with pytest.raises(ValueError, match=f"^{message}"):
         jax.jit(checked)(jnp.zeros(3))
+
+
+@pytest.fixture
+def unchecked():
+    """Types as for a user, whose calls are not checked by beartype."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"state": ([0.0], [1.0])}, r"state is tuple; give Bounds\(lower, upper\)"),
+        ({"control": None}, r"control is NoneType; give Bounds\(lower, upper\)"),
+        ({"path_constraints": decay}, "path_constraints is function; give a dictionary"),
+        ({"integrals": [decay]}, "integrals is list; give a dictionary"),
+        (
+            {"integrals": {"flow": (decay, Bounds(0.0, 4.0))}},
+            r"integrals\['flow'\] is tuple; give Integral\(rate, bounds\)",
+        ),
+    ],
+)
+def test_parts_of_another_kind(changes, message, unchecked):
+    refuse(lambda: tanks(**changes), message)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"units": {"leve": "m"}}, "units: 'leve' is none of x.*level, flow, final time"),
+        ({"units": {"pump": 3}}, r"units\['pump'\] is int; give text"),
+        ({"control_names": ("pump", "pump")}, "'pump' names two quantities"),
+        ({"control_names": ("pump", "level")}, "'level' names two quantities"),
+    ],
+)
+def test_names_and_units_that_do_not_fit(changes, message, unchecked):
+    refuse(lambda: check_problem(tanks(**changes)), message)
+
+
+def test_entries_of_a_constraint_may_have_units_of_their_own():
+    check_problem(tanks(units={"level": "m", "level[3]": "cm", "objective": "m3"}))
+
+
+@pytest.mark.parametrize("scale", [0.0, -1.0, np.inf])
+def test_scales_are_positive(scale):
+    refuse(lambda: Bounds(0.0, [1.0, 2.0], scale=[1.0, scale]), r"Bounds: scale\[1\]=")
+
+
+def method(**settings) -> Callable:
+    return lambda: jaxscp.solve(tanks(), **{"nodes": 4} | settings)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (method(method="proximal"), r"method is str; give ProximalSCP\(\) or"),
+        (method(method=jaxscp.PaperSCP), r"method is PaperSCP; give ProximalSCP\(\)"),
+        (method(discretization=jaxscp.FirstOrderHold()), "is FirstOrderHold; give a Dis"),
+        (method(progress=True), "progress is bool; give a function of a dictionary"),
+        (method(guess=[1.0]), "guess is float; give a Trajectory"),
+        (method(nodes=10.0), "nodes=10.0: give a whole number, or a vector"),
+        (lambda: jaxscp.solve(decay), "problem is function; give an OptimalControlProb"),
+        (
+            lambda: jaxscp.Discretization(hold=jaxscp.FirstOrderHold),
+            r"hold is FirstOrderHold; give ZeroOrderHold\(\) or FirstOrderHold\(\)",
+        ),
+        (lambda: jaxscp.Discretization(hold="foh"), "hold is str; give ZeroOrderHold"),
+        (
+            lambda: jaxscp.Discretization(quadrature="trapezoid"),
+            "quadrature is str; give a member of jaxscp.Quadrature",
+        ),
+        (lambda: jaxscp.Discretization(between=1.5), "between is float; give a whole"),
+        (lambda: jaxscp.Discretization(min_substeps=4.0), "min_substeps is float; give"),
+    ],
+)
+def test_arguments_of_another_kind(call, message, unchecked):
+    refuse(call, message)

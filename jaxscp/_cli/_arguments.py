@@ -5,6 +5,7 @@ from typing import Any, NoReturn
 
 from .._paper import PaperSCP
 from .._proximal import ProximalSCP
+from .._version import __version__
 from ..missions import ENFORCED, GRIDS
 from ._values import assignment, node_count, positive, share
 
@@ -12,7 +13,7 @@ from ._values import assignment, node_count, positive, share
 SUCCESS, FAILURE, BAD_INPUT = 0, 1, 2
 
 METHODS = {"proximal": ProximalSCP, "paper": PaperSCP}
-WHERE_LIMITS_HOLD = "where limits hold: also between the nodes, or there alone"
+WHERE_LIMITS_HOLD = "where limits hold: at the nodes and between them, or at the nodes"
 # What can be audited, and the relative difference that passes: a flight time moves along
 # with what the cost hardly sees, and solves leave more of it open.
 AUDITED = {"objective": 1e-3, "final_time": 1e-2}
@@ -37,6 +38,7 @@ def parser() -> argparse.ArgumentParser:
         epilog="Exit status: 0 if converged and verified, or if every derivative passed; "
         "1 if not; 2 on bad input.",
     )
+    top.add_argument("--version", action="version", version=f"jaxscp {__version__}")
     commands = top.add_subparsers(
         dest="command",
         required=True,

@@ -166,9 +166,12 @@ def _mission(arguments: argparse.Namespace) -> Mission:
 def _swept(arguments: argparse.Namespace) -> dict[str, Any]:
     """The values of each path."""
     values: dict[str, Any] = {}
+    changed = [path for path, _ in arguments.changes]
     for path, column in arguments.over:
         if path in values:
             raise ValueError(f"--over {path}: given twice; put its values in one list.")
+        if path in changed:
+            raise ValueError(f"--over {path}: --set gives it one value; leave one out.")
         values[path] = column
     return values
 

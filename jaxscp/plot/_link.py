@@ -7,7 +7,7 @@ from .._solution import Solution
 from .._trajectory import Trajectory
 from ..missions import Mission
 from ._series import dense
-from ._style import BLUE, MEGA, ManyAxes, check_count
+from ._style import BLUE, MEGA, ManyAxes, listed
 
 
 def link(axes: ManyAxes, mission: Mission, solution: Solution) -> ManyAxes:
@@ -22,10 +22,10 @@ def link(axes: ManyAxes, mission: Mission, solution: Solution) -> ManyAxes:
 
     **Raises:** `ValueError` unless there are three Axes.
     """
-    check_count(axes, ("rate", "elevation", "line of sight"), "curve")
+    each = listed(axes, ("rate", "elevation", "line of sight"), "curve")
     route = dense(solution)
     times, place = np.asarray(route.times), route.states[:, :3]
-    first, second, third = axes
+    first, second, third = each
     rate(first, mission, route)
     second.plot(times, mission.channel.elevation(place), color=BLUE)
     second.set_ylabel("elevation [deg]")

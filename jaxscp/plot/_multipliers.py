@@ -1,6 +1,7 @@
 """What limits and states are worth along a flight."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,7 +9,7 @@ from matplotlib.axes import Axes
 from .._problem import entry_name
 from .._shadow_prices import price_unit
 from .._solution import Solution
-from ._style import BLUE, GREY, ORANGE, ManyAxes, check_count, label
+from ._style import BLUE, GREY, ORANGE, ManyAxes, label, listed
 
 
 def costates(axes: ManyAxes, solution: Solution) -> ManyAxes:
@@ -25,13 +26,13 @@ def costates(axes: ManyAxes, solution: Solution) -> ManyAxes:
     **Raises:** `ValueError` if the number of Axes is not that of the states.
     """
     problem = solution.problem
-    check_count(axes, problem.state_names, "state")
+    each = listed(axes, problem.state_names, "state")
     times, values = solution.trajectory.times[1:], solution.multipliers.dynamics
-    for ax, name, column in zip(axes, problem.state_names, values.T, strict=True):
+    for ax, name, column in zip(each, problem.state_names, values.T, strict=True):
         _zero(ax)
         ax.plot(times, column, ".-", color=BLUE, linewidth=1.2, markersize=4)
         ax.set_ylabel(label(f"costate of {name}\n", price_unit(problem, name)))
-    axes[-1].set_xlabel("time [s]")
+    each[-1].set_xlabel("time [s]")
     return axes
 
 
@@ -67,13 +68,13 @@ def multipliers(
     for name in names:
         if name not in known:
             raise ValueError(f"names: {name!r} is none of {', '.join(known)}.")
-    check_count(axes, names, "active limit")
+    each = listed(axes, names, "active limit")
     times = np.asarray(solution.trajectory.times)
-    for ax, name in zip(axes, names, strict=True):
+    for ax, name in zip(each, names, strict=True):
         nodal, between = known[name]
         _zero(ax)
         if np.any(between != 0.0):
-            bars = {"color": ORANGE, "alpha": 0.6, "linewidth": 0}
+            bars: dict[str, Any] = {"color": ORANGE, "alpha": 0.6, "linewidth": 0}
             shown = {"align": "edge", "label": "between nodes"} | bars
             ax.bar(times[:-1], between, np.diff(times), **shown)
         ax.vlines(times, 0.0, nodal, color=BLUE, linewidth=1.2)
@@ -83,7 +84,7 @@ def multipliers(
             ax.legend(fontsize="small")
             ax.use_sticky_edges = False
     if len(names):
-        axes[-1].set_xlabel("time [s]")
+        each[-1].set_xlabel("time [s]")
     return axes
 
 

@@ -6,7 +6,7 @@ from matplotlib.axes import Axes
 from .._bounds import Bounds
 from .._solution import Solution
 from .._trajectory import Trajectory
-from ._style import BLUE, CYCLE, ManyAxes, check_count, label, shade_limits
+from ._style import BLUE, CYCLE, ManyAxes, label, listed, shade_limits
 
 SAMPLES = 1001
 
@@ -28,13 +28,13 @@ def states(axes: ManyAxes, solution: Solution) -> ManyAxes:
     **Raises:** `ValueError` if the number of Axes is not that of the states.
     """
     problem = solution.problem
-    check_count(axes, problem.state_names, "state")
+    each = listed(axes, problem.state_names, "state")
     between, nodal = dense(solution), solution.trajectory
-    for index, (ax, name) in enumerate(zip(axes, problem.state_names, strict=True)):
+    for index, (ax, name) in enumerate(zip(each, problem.state_names, strict=True)):
         ax.plot(between.times, between.states[:, index], color=BLUE)
         ax.plot(nodal.times, nodal.states[:, index], ".", color=BLUE, markersize=3)
         _finish(ax, name, problem.unit(name), problem.state, index)
-    axes[-1].set_xlabel("time [s]")
+    each[-1].set_xlabel("time [s]")
     return axes
 
 
@@ -49,11 +49,11 @@ def controls(axes: ManyAxes, solution: Solution) -> ManyAxes:
     **Raises:** `ValueError` if the number of Axes is not that of the controls.
     """
     problem = solution.problem
-    check_count(axes, problem.control_names, "control")
-    for index, (ax, name) in enumerate(zip(axes, problem.control_names, strict=True)):
+    each = listed(axes, problem.control_names, "control")
+    for index, (ax, name) in enumerate(zip(each, problem.control_names, strict=True)):
         control(ax, solution, index)
         _finish(ax, name, problem.unit(name), problem.control, index)
-    axes[-1].set_xlabel("time [s]")
+    each[-1].set_xlabel("time [s]")
     return axes
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 # A list, or what `Figure.subplots` gives.
-ManyAxes: TypeAlias = Sequence[Axes] | np.ndarray
+ManyAxes: TypeAlias = Axes | Sequence[Axes] | np.ndarray
 
 # The palette of Okabe and Ito, told apart with every common colour vision.
 BLACK = "#000000"
@@ -40,13 +40,18 @@ def label(name: str, unit: str) -> str:
     return f"{name} [{typeset(unit)}]" if unit else name
 
 
-def check_count(axes: ManyAxes, names: Sequence[str], kind: str) -> None:
-    """**Raises:** `ValueError` unless there is one Axes for each name."""
-    if len(axes) != len(names):
+def listed(axes: ManyAxes, names: Sequence[str], kind: str) -> list[Axes]:
+    """One Axes for each name; `figure.subplots()` makes no list of a single one.
+
+    **Raises:** `ValueError` if there are more or fewer.
+    """
+    each = [axes] if isinstance(axes, Axes) else list(axes)
+    if len(each) != len(names):
         raise ValueError(
-            f"axes has {len(axes)} entries for {len(names)} {kind}s; give one for each "
+            f"axes has {len(each)} entries for {len(names)} {kind}s; give one for each "
             f"of {', '.join(names)}."
         )
+    return each
 
 
 def shade_limits(
