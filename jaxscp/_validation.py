@@ -60,7 +60,7 @@ def check_problem(problem: OptimalControlProblem) -> None:
 
 
 def _check_names(problem: OptimalControlProblem) -> None:
-    """Each must name one thing, and units only what has a name."""
+    """Each must name one thing."""
     names = [
         *(problem.state_names + problem.control_names),
         *(*problem.path_constraints, *problem.integrals, "final time", "objective"),
@@ -69,11 +69,6 @@ def _check_names(problem: OptimalControlProblem) -> None:
         if name in names[:index]:
             raise ValueError(f"{name!r} names two quantities; rename one of them.")
     for name, unit in problem.units:
-        # Of a constraint's entries each may have a unit of its own.
-        if name not in names and name.partition("[")[0] not in names:
-            raise ValueError(
-                f"units: {name!r} is none of {', '.join(names)}; leave it out."
-            )
         check_kind(f"units[{name!r}]", unit, str, "text, such as 'm/s'")
 
 

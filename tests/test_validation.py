@@ -473,7 +473,6 @@ def test_parts_of_another_kind(changes, message, unchecked):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"units": {"leve": "m"}}, "units: 'leve' is none of x.*level, flow, final time"),
         ({"units": {"pump": 3}}, r"units\['pump'\] is int; give text"),
         ({"control_names": ("pump", "pump")}, "'pump' names two quantities"),
         ({"control_names": ("pump", "level")}, "'level' names two quantities"),
@@ -481,10 +480,6 @@ def test_parts_of_another_kind(changes, message, unchecked):
 )
 def test_names_and_units_that_do_not_fit(changes, message, unchecked):
     refuse(lambda: check_problem(tanks(**changes)), message)
-
-
-def test_entries_of_a_constraint_may_have_units_of_their_own():
-    check_problem(tanks(units={"level": "m", "level[3]": "cm", "objective": "m3"}))
 
 
 @pytest.mark.parametrize("scale", [0.0, -1.0, np.inf])
