@@ -45,6 +45,9 @@ HEADING = f"{'parameter':40}" + "".join(
 class Audited(eqx.Module):
     """One parameter, all its entries moved together along a direction.
 
+    Derivatives are by shares of the parameter's size: that by a mass of 3 kg is three
+    times that by a kilogram.
+
     - `name`: where it is in the tree. `implicit`: derivative by the implicit function
         theorem. `envelope`: by the envelope theorem, NaN for all but the objective.
     - `difference`: central difference of whole solves, with the step of the sweep that
