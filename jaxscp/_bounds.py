@@ -177,15 +177,21 @@ class Bounds(eqx.Module):
         """
         return 0.5 * (self.lower + self.upper)
 
+    @property
+    def ends(self) -> tuple[Float[Array, "*shape"], Float[Array, "*shape"]]:
+        """Lower and upper limits; both the target where an entry is fixed."""
+        low, high = (
+            jnp.where(self.is_fixed, self.target, limit)
+            for limit in (self.lower, self.upper)
+        )
+        return low, high
+
     def clip(self, value: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """The nearest value within the limits; fixed entries take their target.
 
         Leading axes of `value` beyond those of the bounds are a batch.
         """
-        low, high = (
-            jnp.broadcast_to(jnp.where(self.is_fixed, self.target, limit), value.shape)
-            for limit in (self.lower, self.upper)
-        )
+        low, high = (jnp.broadcast_to(limit, value.shape) for limit in self.ends)
         return jnp.clip(value, low, high)
 
 

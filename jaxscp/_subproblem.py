@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ._bounds import Bounds
 from ._constraints import integral_limits
 from ._damping import Damping
 from ._host import call_on_host
@@ -109,22 +108,14 @@ def step_limits(
     problem = transcription.problem
 
     def relative(limits, origin, scale):
-        scale = jnp.broadcast_to(scale, origin.shape)
+        *limits, scale = (jnp.broadcast_to(x, origin.shape) for x in (*limits, scale))
         return tuple((limit - origin) / scale for limit in limits)
 
-    def ends(bounds: Bounds, shape: tuple[int, ...]):
-        return tuple(
-            jnp.broadcast_to(jnp.where(bounds.is_fixed, bounds.target, limit), shape)
-            for limit in (bounds.lower, bounds.upper)
-        )
-
-    controls, time = reference.controls, reference.final_time[None]
+    time = reference.final_time[None]
     return Limits(
         state=relative(transcription.state_limits, reference.states, scaling.state),
-        control=relative(
-            ends(problem.control, controls.shape), controls, scaling.control
-        ),
-        time=relative(ends(problem.final_time, (1,)), time, scaling.time),
+        control=relative(problem.control.ends, reference.controls, scaling.control),
+        time=relative(problem.final_time.ends, time, scaling.time),
         integral=integral_limits(transcription, scaling),
     )
 

@@ -158,12 +158,8 @@ class Transcription(eqx.Module):
         lower = jnp.broadcast_to(problem.state.lower, shape)
         upper = jnp.broadcast_to(problem.state.upper, shape)
         for node, bounds in ((0, problem.initial_state), (-1, problem.final_state)):
-            ends = [
-                jnp.where(bounds.is_fixed, bounds.target, limit)
-                for limit in (bounds.lower, bounds.upper)
-            ]
             own = bounds.prevails(problem.state)
-            low, high = map(jnp.where, own, ends, (lower[node], upper[node]))
+            low, high = map(jnp.where, own, bounds.ends, (lower[node], upper[node]))
             lower, upper = lower.at[node].set(low), upper.at[node].set(high)
         return lower, upper
 
