@@ -21,6 +21,8 @@ from ._types import Array, ArrayLike
 _ROUGH = 1.0
 # With scales of its own finding each time: a few lead from any to the right ones.
 _BEGINNINGS = 5
+# How much smaller the cost's scale must have become.
+_SMALLER = 0.1
 
 
 class AbstractSCP(eqx.Module):
@@ -138,11 +140,13 @@ def run(
         tell(listener, attempt, state.records, values)
 
     def begin(at: _Course) -> _Course:
-        state = at.state
-        fresh = method.init(transcription, state.iterate.variables, at.begun > 0)
-        return _Course(
-            state.begun_again(fresh), jnp.array(False), at.begun + 1, jnp.array(False)
-        )
+        state, again = at.state, at.begun > 0
+        fresh = method.init(transcription, state.iterate.variables, again)
+        # Some costs are next to nothing, whatever the scales.
+        size, before = fresh.scaling.objective, state.scaling.objective
+        vain = again & (size > _SMALLER * before)
+        state = jax.lax.cond(vain, lambda: state, lambda: fresh.counted_on(state))
+        return _Course(state, jnp.array(False), at.begun + 1, vain)
 
     def step(at: _Course) -> _Course:
         after = method.step(transcription, at.state)

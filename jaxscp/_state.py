@@ -131,17 +131,17 @@ class SCPState(eqx.Module):
             (guess, history),
         )
 
-    def begun_again(self, fresh: "SCPState") -> "SCPState":
-        """A state before the first subproblem, but for what has been counted."""
+    def counted_on(self, before: "SCPState") -> "SCPState":
+        """This one, with what had been counted and written down before."""
         return dataclasses.replace(
-            fresh,
-            history=self.history,
-            records=self.records,
-            iterations=self.iterations,
-            polish=self.polish,
-            subproblems=self.subproblems,
-            qp_iterations=self.qp_iterations,
-            qp_seconds=self.qp_seconds,
+            self,
+            history=before.history,
+            records=before.records,
+            iterations=before.iterations,
+            polish=before.polish,
+            subproblems=before.subproblems,
+            qp_iterations=before.qp_iterations,
+            qp_seconds=before.qp_seconds,
         )
 
     @property

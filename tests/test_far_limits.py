@@ -123,3 +123,16 @@ def test_what_next_to_nothing_costs(distance):
     assert bool(found.polished)
     expected = distance**2 * float(whole.objective)
     assert found.objective == pytest.approx(expected, rel=1e-6)
+
+
+def test_what_costs_next_to_nothing_is_solved_once():
+    # As good as nowhere else than where it ought to be.
+    problem = eqx.tree_at(
+        lambda p: p.running_cost,
+        sled(),
+        lambda t, x, u: 1e-9 * u[0] ** 2 + (jnp.clip(x[0], 0.0, 10.0) - x[0]) ** 2,
+    )
+    solution = solve(problem)
+    assert bool(solution.converged)
+    weights = np.asarray(solution.history.radius)
+    assert np.sum(weights == weights[0]) == 1
