@@ -42,7 +42,7 @@ def move(transcription, state):
     """The part after it; whether it ends the solve, whether Newton's step was tried."""
     after, passes = _Counting()._iterate(transcription, state)
     done = METHOD.terminate(transcription, after)[0]
-    return after, passes, METHOD._trusts_newton(state), done
+    return after, passes, METHOD.trusts_newton(state), done
 
 
 @compiled
@@ -62,7 +62,7 @@ def conditions(transcription, state):
 
 
 def _parts(transcription, state):
-    sound, iterate = METHOD._is_sound(state), state.iterate
+    sound, iterate = METHOD.is_sound(state), state.iterate
     at = (transcription, state.scaling, iterate.variables, iterate.substeps)
     multipliers = state.solution.multipliers
     curvatures = model_curvatures(*at, multipliers, sound, METHOD.curvature)

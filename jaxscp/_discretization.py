@@ -41,9 +41,9 @@ class Discretization(eqx.Module):
         far away, and a solve needs many iterations. The flight time is then limited to
         that many times the guess's.
     - `tolerance`: error allowed in the states over one interval, and in the integrals
-        over all of them, relative to each quantity's scale. The number of Runge-Kutta
-        substeps, the same in all intervals, follows the error that comparing with half
-        as many tells.
+        over all of them, relative to each quantity's scale, or to a cost that is small
+        beside its own. The number of Runge-Kutta substeps, the same in all intervals,
+        follows the error that comparing with half as many tells.
     - `min_substeps`, `max_substeps`: limits of that number.
     """
 

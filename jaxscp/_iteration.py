@@ -19,6 +19,9 @@ from ._types import Array, Scalar
 # Between one linearization and the next the substeps change at most so much: a wild
 # first step would otherwise ask for hundreds.
 _MOST_GROWTH = 4.0
+# Below the first of a scaled cost its integration error counts relative to it, down to
+# this share of that.
+_SMALL_COST, _LEAST_SHARE = 0.1, 0.01
 # So often too few, and never again fewer.
 _MOST_RAISED = 3
 
@@ -125,9 +128,12 @@ def try_step(
     )
     residuals = scaling.residuals(jax.tree.map(lambda leaf: leaf[0], both))
     rough = scaling.residuals(jax.tree.map(lambda leaf: leaf[1], both))
+    totals = jnp.sum(jnp.abs(residuals.increments - rough.increments), axis=0)
+    # A cost that is small beside its scale is to be as exact as one that is not.
+    share = jnp.clip(jnp.abs(residuals.objective) / _SMALL_COST, _LEAST_SHARE, 1.0)
     difference = jnp.maximum(
         jnp.max(jnp.abs(residuals.defects - rough.defects)),
-        jnp.max(jnp.sum(jnp.abs(residuals.increments - rough.increments), axis=0)),
+        jnp.max(totals.at[-1].divide(share)),
     )
     error = difference / jnp.abs((steps / others) ** 4 - 1.0)
     # Longer steps may leave a function's domain where shorter ones do not.

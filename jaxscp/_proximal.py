@@ -13,10 +13,10 @@ from ._damping import Damping
 from ._iteration import advance, is_finite, linearized, start
 from ._layout import Structure
 from ._model import Model, model_curvatures
-from ._optimality import Optimality, optimality
+from ._newton_scp import AbstractNewtonSCP
+from ._optimality import optimality
 from ._prospects import prospects
 from ._qp import PIQP
-from ._scp import AbstractSCP
 from ._search import Search, search
 from ._state import Judgement, SCPState
 from ._subproblem import SubproblemSolution, solve_subproblem, step_limits
@@ -24,7 +24,7 @@ from ._subproblem_data import Limits, Prices
 from ._transcription import Residuals, Transcription, Variables
 from ._tree import tree_where
 from ._trust_region import blind_reach, metric, next_radius, next_reach
-from ._types import Array, Scalar
+from ._types import Array
 
 # Corrections of a polishing step, which may go far along what the cost hardly sees: each
 # costs a third of an iteration.
@@ -33,7 +33,7 @@ _POLISHING = 2
 _VANISHING = 1e-3
 
 
-class ProximalSCP(AbstractSCP):
+class ProximalSCP(AbstractNewtonSCP):
     """SCP with a soft 2-norm trust region and second-order information.
 
     Each subproblem adds half the squared scaled step, times a weight, to a convex model
@@ -98,12 +98,6 @@ class ProximalSCP(AbstractSCP):
     max_ceiling: float = eqx.field(static=True, default=1e6)
 
     def __check_init__(self):
-        if self.curvature not in ("all", "nodes", "cost"):
-            raise ValueError(
-                f"curvature={self.curvature!r}: choose 'all', 'nodes' or 'cost'."
-            )
-        if not isinstance(self.max_polish, int) or self.max_polish < 0:
-            raise ValueError(f"max_polish={self.max_polish!r}: give a whole number.")
         if not 0.0 < self.initial_weight < math.inf:
             raise ValueError(
                 f"initial_weight={self.initial_weight!r}: give a positive number."
@@ -132,7 +126,7 @@ class ProximalSCP(AbstractSCP):
             finite=is_finite(iterate),
             optimality=jnp.where(begun, gap.residual, jnp.inf),
         )
-        near = begun & self._is_near(after, gap)
+        near = begun & self.is_near(after, gap)
         blind = blind_reach(transcription, state, after, self.tolerance)
         reach = tree_where(near, blind, state.reach)
         after = dataclasses.replace(after, near=near, reach=reach)
@@ -148,41 +142,8 @@ class ProximalSCP(AbstractSCP):
         cost = jnp.abs(state.iterate.residuals.objective)
         return (cost < _VANISHING) & (cost > 0.0)
 
-    def _is_near(self, state: SCPState, gap: Optimality) -> Array:
-        """Whether Newton's method may be trusted without a merit function.
-
-        Once it is, also a little farther away: a long step along directions that the
-        cost hardly sees is worth the steps that take its side effects back.
-        """
-        limit = jnp.where(state.near, self.far, self.near)
-        small = (gap.stationarity <= limit) & (gap.feasibility <= 10.0 * limit)
-        return small & self._trusts_newton(state)
-
-    def _is_sound(self, state: SCPState) -> Array:
-        """Whether the multipliers are good for the dynamics' curvature.
-
-        Not those of virtual control, nor those of a subproblem that failed.
-        """
-        sound = ~state.solution.effort.relaxed & (state.failures == 0)
-        return sound & (self.curvature == "all")
-
-    def _may_polish(self, state: SCPState) -> Array:
-        return (state.polish < self.max_polish) & (self.curvature == "all")
-
-    def _trusts_newton(self, state: SCPState) -> Array:
-        """Whether the next step is tried with all of the curvature, convex or not.
-
-        Not with the multipliers of a step that was refused.
-        """
-        ready = self._is_sound(state) & self._may_polish(state)
-        return ready & (state.near | state.own) & (state.optimality < self.close)
-
-    def _longest(self, state: SCPState) -> Scalar:
-        """How long Newton's next step may be."""
-        return jnp.minimum(state.reach.length, self.longest)
-
     def _iterate(self, transcription: Transcription, state: SCPState) -> SCPState:
-        sound = self._is_sound(state)
+        sound = self.is_sound(state)
         iterate, multipliers = state.iterate, state.solution.multipliers
         at = (transcription, state.scaling, iterate.variables, iterate.substeps)
         curvatures = model_curvatures(*at, multipliers, sound, self.curvature)
@@ -229,7 +190,7 @@ class ProximalSCP(AbstractSCP):
         if self.curvature == "all":
             newton = jax.lax.cond(
                 # Where there is no step there is none to correct.
-                self._trusts_newton(state) & start.found,
+                self.trusts_newton(state) & start.found,
                 lambda: active_set_step(
                     exact,
                     measure,
@@ -237,7 +198,7 @@ class ProximalSCP(AbstractSCP):
                     transcription.watch,
                     start,
                     jnp.maximum(1e-3 * state.optimality, 1e-11),
-                    longest=self._longest(state),
+                    longest=self.longest_step(state),
                     # A convex subproblem's step is better than a short one.
                     heaviest=jnp.where(state.near, jnp.inf, weight),
                     slack=self.tolerance,
@@ -298,7 +259,7 @@ class ProximalSCP(AbstractSCP):
             state,
             found,
             judgement,
-            may_polish=self._may_polish(state),
+            may_polish=self.may_polish(state),
             close=self.close,
             poor_ratio=self.poor_ratio,
             min_reduction=self.min_reduction,
@@ -309,7 +270,7 @@ class ProximalSCP(AbstractSCP):
         ceiling = jnp.where(ahead.cheap, 10.0 * state.ceiling, state.ceiling)
         poor, good = self.poor_ratio, self.good_ratio
         ratios = {"poor_ratio": poor, "good_ratio": good, "factor": self.weight_factor}
-        longest = self._longest(state)
+        longest = self.longest_step(state)
         radius = next_radius(state, judgement, newton, longest=longest, **ratios)
         reach = next_reach(state, judgement, newton, **ratios)
         return advance(

@@ -126,13 +126,16 @@ def test_what_next_to_nothing_costs(distance):
 
 
 def test_what_costs_next_to_nothing_is_solved_once():
-    # As good as nowhere else than where it ought to be.
-    problem = eqx.tree_at(
-        lambda p: p.running_cost,
-        sled(),
-        lambda t, x, u: 1e-9 * u[0] ** 2 + (jnp.clip(x[0], 0.0, 10.0) - x[0]) ** 2,
+    # A path that can be followed, but for the price of turning onto it.
+    problem = OptimalControlProblem(
+        Sled(jnp.asarray(1.0)),
+        state=Bounds([-20.0, -5.0], [20.0, 5.0]),
+        control=Bounds([-2.0], [2.0]),
+        final_time=Bounds.exactly(10.0),
+        running_cost=lambda t, x, u: (x[0] - 0.1 * t**2) ** 2 + 1e-7 * u[0] ** 2,
     )
     solution = solve(problem)
     assert bool(solution.converged)
+    assert 0.0 < solution.objective < 1e-3
     weights = np.asarray(solution.history.radius)
     assert np.sum(weights == weights[0]) == 1

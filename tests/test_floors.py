@@ -55,7 +55,7 @@ FLOORS = (
     {"_choice", "_limit_names", "_regularity", "_shadow_prices"},
     {"_exchange", "_smoothing"},
     {"_outcome"},
-    {"_prospects"},
+    {"_newton_scp", "_prospects"},
     {"_proximal", "_paper"},
     {"_free_intervals"},
     {"_response", "_solve"},

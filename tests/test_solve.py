@@ -1002,3 +1002,22 @@ def test_a_number_that_is_mapped_over_may_not_be_captured():
 
     with pytest.raises(ValueError, match=r"captured 'drag', over which jax.vmap maps"):
         jax.vmap(effort)(jnp.asarray([0.1, 0.2]))
+
+
+def test_a_small_cost_is_as_exact_as_a_large_one():
+    def following(t, x, u):
+        return (x[0] - jnp.sin(t)) ** 2 + 1e-3 * u @ u
+
+    problem = OptimalControlProblem(
+        lambda t, x, u: 50.0 * (u - x),
+        running_cost=following,
+        state=Bounds([-5.0], [5.0]),
+        control=Bounds([-5.0], [5.0]),
+        initial_state=Bounds.exactly([0.0]),
+        final_time=Bounds.exactly(10.0),
+    )
+    solution = jaxscp.solve(problem, nodes=50)
+    flown = jaxscp.verify(problem, solution)
+    # Scales are those of the limits, of which it uses a fifth.
+    assert 0.0 < solution.objective < 0.02
+    assert solution.objective == pytest.approx(flown.objective, rel=1e-3)
