@@ -317,6 +317,7 @@ def fresh(transcription, variables) -> tuple[Scaling, Iterate]:
         scaling.derivatives(derivatives),
         fresh=jnp.array(True),
         substeps=substeps,
+        raised=jnp.zeros((), int),
         integration_error=jnp.zeros(()),
     )
 
