@@ -155,7 +155,8 @@ def run(
             tried = after.records > at.state.records
             jax.lax.cond(tried, report, lambda _: None, after)
         done, _ = method.terminate(transcription, after)
-        again = done & (at.begun < _BEGINNINGS) & method.is_misled(after)
+        left = (at.begun < _BEGINNINGS) & (after.iterations < method.max_iterations)
+        again = done & left & method.is_misled(after)
         return _Course(after, again, at.begun, done & ~again)
 
     blank = SCPState.blank(functools.partial(method.init, transcription), guess)
