@@ -54,9 +54,9 @@ def solve(
     Can be differentiated, forward and backward, by every inexact leaf of the problem and
     by the time grid: the objective by the envelope theorem, twice if asked; trajectory,
     integrals and multipliers by the implicit function theorem at the solution, with the
-    exact Hessian of the Lagrangian. Neither unrolls the iteration. A solution does not
-    depend on its guess, but for which of several it leads to, nor by more than
-    tolerances on the scales of `Bounds`, which all tolerances are relative to.
+    exact Hessian of the Lagrangian. Neither unrolls the iteration. A solution depends on
+    its guess only in which of several it is, and on the scales of `Bounds` only as far
+    as tolerances allow, which are relative to them: by neither has it a derivative.
     Where a constraint is weakly active, its multiplier and its slack both zero, there are
     two one-sided derivatives, and one of them is returned: [`sensitivity_report`][] has
     both. With `smoothing` a mean of both is.
