@@ -2,7 +2,6 @@
 
 import abc
 import functools
-import math
 from typing import Any
 
 import equinox as eqx
@@ -44,7 +43,7 @@ class AbstractSCP(eqx.Module):
                 raise ValueError(f"{name}={count!r}: give a whole number above 0.")
         for name in ("tolerance", "feasibility_tolerance", "min_radius"):
             value = getattr(self, name)
-            if not 0.0 < value < math.inf:
+            if not value > 0.0:
                 raise ValueError(f"{name}={value!r}: give a positive number.")
 
     @abc.abstractmethod
