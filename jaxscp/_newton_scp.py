@@ -50,6 +50,7 @@ class AbstractNewtonSCP(AbstractSCP):
         return sound & (self.curvature == "all")
 
     def may_polish(self, state: SCPState) -> Array:
+        """Whether any of Newton's steps are left, and wanted."""
         return (state.polish < self.max_polish) & (self.curvature == "all")
 
     def trusts_newton(self, state: SCPState) -> Array:
