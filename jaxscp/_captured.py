@@ -3,6 +3,7 @@
 import functools
 import inspect
 from collections.abc import Callable, Iterator
+from types import FunctionType
 from typing import Any
 
 import jax
@@ -20,19 +21,18 @@ def check_captured(problem: OptimalControlProblem) -> None:
             continue
         for name, value in _captured(leaf):
             if is_differentiated(value):
-                what = "by which a derivative is being taken; only leaves of the"
-                what += " problem have derivatives"
+                use, can = "by which a derivative is being taken", "have derivatives"
             elif _is_mapped(value):
-                what = "over which jax.vmap maps; only leaves of the problem can differ"
-                what += " from element to element"
+                use, can = "over which jax.vmap maps", "differ from element to element"
             else:
                 continue
             where = jax.tree_util.keystr(path, simple=True, separator=".")
             field = name if name.isidentifier() else "value"
             raise ValueError(
-                f"{where} captured {name!r}, {what}. Make the function a Module with "
-                f"{field!r} as a field: class Dynamics(equinox.Module): {field}: "
-                "jax.Array; def __call__(self, t, x, u): ..."
+                f"{where} captured {name!r}, {use}; only leaves of the problem {can}. "
+                f"Make the function a Module with {field!r} as a field: "
+                f"class Dynamics(equinox.Module): {field}: jax.Array; "
+                "def __call__(self, t, x, u): ..."
             )
 
 
@@ -67,14 +67,11 @@ def _captured(function: Callable, depth: int = 3) -> Iterator[tuple[str, Any]]:
             yield from _captured(value, depth - 1)
 
 
-def _defaults(function: Callable) -> dict[str, Any]:
+def _defaults(function: FunctionType) -> dict[str, Any]:
     """What arguments are if they are not given."""
-    parameters = inspect.signature(function).parameters
-    return {
-        name: each.default
-        for name, each in parameters.items()
-        if each.default is not each.empty
-    }
+    code, values = function.__code__, function.__defaults__ or ()
+    names = code.co_varnames[code.co_argcount - len(values) : code.co_argcount]
+    return dict(zip(names, values, strict=True)) | (function.__kwdefaults__ or {})
 
 
 def _is_filled(cell: Any) -> bool:

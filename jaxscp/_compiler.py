@@ -14,10 +14,10 @@ from ._types import is_concrete
 
 _R = TypeVar("_R")
 
+_LEVEL = "xla_backend_optimization_level"
 # On the CPU a solve compiles in less than half the time, and runs as fast, with XLA's
 # older emitters of kernels, fewer optimizations of these, and sums and maxima by one loop
 # each: as trees of loops one takes the compiler 24 ms instead of 4.
-_LEVEL = "xla_backend_optimization_level"
 _OPTIONS = {
     "xla_cpu_use_fusion_emitters": False,
     _LEVEL: 1,

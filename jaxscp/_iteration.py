@@ -19,8 +19,8 @@ from ._types import Array, Scalar
 # Between one linearization and the next the substeps change at most so much: a wild
 # first step would otherwise ask for hundreds.
 _MOST_GROWTH = 4.0
-# Below the first of a scaled cost its integration error counts relative to it, down to
-# this share of that.
+# The integration error of a scaled cost below the first counts for as much more as the
+# cost is smaller than that, at most for one over the second.
 _SMALL_COST, _LEAST_SHARE = 0.1, 0.01
 # So often too few, and never again fewer.
 _MOST_RAISED = 3

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from ._optimality import Optimality
 from ._scp import AbstractSCP
 from ._state import SCPState
-from ._types import Array, Scalar
+from ._types import Array, Scalar, check_count
 
 
 class AbstractNewtonSCP(AbstractSCP):
@@ -28,8 +28,7 @@ class AbstractNewtonSCP(AbstractSCP):
             raise ValueError(
                 f"curvature={self.curvature!r}: choose 'all', 'nodes' or 'cost'."
             )
-        if not isinstance(self.max_polish, int) or self.max_polish < 0:
-            raise ValueError(f"max_polish={self.max_polish!r}: give a whole number.")
+        check_count("max_polish", self.max_polish, 0)
 
     def is_near(self, state: SCPState, gap: Optimality) -> Array:
         """Whether Newton's method may be trusted without a merit function.

@@ -121,7 +121,7 @@ def automatic_scaling(
 
     **Arguments:**
 
-    - `again`: whether the guess is what a solve has led to. Where its variables are far
+    - `again`: whether the guess is what a solve has led to. Where its variables are
         smaller than their scales it tells these, limits and users notwithstanding.
     """
     problem = transcription.problem

@@ -13,7 +13,7 @@ from ._progress import tell
 from ._state import SCPState
 from ._status import Status
 from ._transcription import Transcription, Variables
-from ._types import Array, ArrayLike
+from ._types import Array, ArrayLike, check_count
 
 # The scaled residual of the optimality conditions above which a point is no optimum, not
 # even roughly: gradients are of the order of one.
@@ -38,9 +38,7 @@ class AbstractSCP(eqx.Module):
 
     def __check_init__(self):
         for name in ("max_iterations", "max_failures"):
-            count = getattr(self, name)
-            if not isinstance(count, int) or count < 1:
-                raise ValueError(f"{name}={count!r}: give a whole number above 0.")
+            check_count(name, getattr(self, name), 1)
         for name in ("tolerance", "feasibility_tolerance", "min_radius"):
             value = getattr(self, name)
             if not value > 0.0:

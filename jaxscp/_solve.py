@@ -64,11 +64,11 @@ def solve(
     **Main arguments:**
 
     - `problem`: what to solve.
-    - `guess`: where to start, with the time grid to use; a straight line by default. Of
-        a solution it is the trajectory.
-        Of several, on one time grid, the best is returned: the cheapest of those that
-        converge and that [`verify`][] confirms, else the cheapest that converges, else
-        the one that misses its constraints least. `Solution.attempts` holds them all.
+    - `guess`: where to start, with the time grid to use: a trajectory, or a solution's;
+        a straight line by default. Of several, on one time grid, the best is returned:
+        the cheapest of those that converge and that [`verify`][] confirms, else the
+        cheapest that converges, else the one that misses its constraints least.
+        `Solution.attempts` holds them all.
         Inside a transformation, where nothing can be verified, convergence decides.
     - `method`: [`ProximalSCP`][], or the paper's [`PaperSCP`][].
     - `nodes`: number of nodes, or their fractions of the flight time; only without a

@@ -39,6 +39,7 @@ __all__ = [
     "Scalar",
     "State",
     "TimeStateControl",
+    "check_count",
     "check_kind",
     "is_concrete",
 ]
@@ -63,3 +64,9 @@ def check_kind(name: str, value: object, kind: Any, give: str) -> None:
     if not isinstance(value, kind):
         given = value.__name__ if isinstance(value, type) else type(value).__name__
         raise ValueError(f"{name} is {given}; give {give}.")
+
+
+def check_count(name: str, value: object, least: int) -> None:
+    """**Raises:** `ValueError` for anything but a whole number from `least`."""
+    if not isinstance(value, int) or value < least:
+        raise ValueError(f"{name}={value!r}: give a whole number from {least}.")
